@@ -1,0 +1,70 @@
+"""Prior mean and covariance of a pixel under any lights (3.16), valid by construction (DESIGN 4.1).
+
+The deviation's correlation between lights p and q is ``w(p)^T R w(q)`` with learned R, plus ``sqrt(1 - rho(p,p)) sqrt(1 - rho(q,q)) k(|p - q|)``:
+unit diagonal, semidefinite for any set of lights, and 1 where two lights meet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from facerelight.statistics import FaceLoadings, FaceStatistics, PixelStatistics
+
+__all__ = ["LightTerms", "image_covariance", "light_terms", "loadings_at", "prior_mean"]
+
+
+class LightTerms(NamedTuple):
+    """What the covariances need to know of A lights at P pixels.
+
+    ``light (A, 3)``; ``weights (A, J)``; ``std (A, P)``; ``factor (A, r, P)``, the interpolated correlation factor times std;
+    ``narrow (A, P)``, the part of std that only nearby lights share; ``lost (A, P)``, std of the loadings lost to interpolation.
+    """
+
+    light: Tensor
+    weights: Tensor
+    std: Tensor
+    factor: Tensor
+    narrow: Tensor
+    lost: Tensor
+
+
+def light_terms(statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None) -> LightTerms:
+    """Gather the terms of ``lights (A, 3)`` for the per-pixel statistics ``pixel`` (with ``face``: its residual's)."""
+    weights = statistics.weights(lights)
+    std = (weights @ pixel.v_std.flatten(1).square()).sqrt()
+    learned = pixel.v_factor.flatten(2)  # (J, r, P)
+    factor = (weights @ learned.flatten(1)).unflatten(1, learned.shape[1:])
+    own = factor.square().sum(1) + weights.square() @ (1 - learned.square().sum(1))  # rho(s, s)
+    narrow = std * (1 - own).clamp_min(0).sqrt()
+    lost = torch.zeros_like(std)
+    if face is not None:
+        kept = ((weights @ face.basis.T) @ face.v.flatten(2).transpose(0, 1).flatten(1)).unflatten(1, (len(face.v), -1))
+        lost = (weights @ face.v_power.flatten(1) - kept.square().sum(1)).clamp_min(0).sqrt()
+    return LightTerms(lights, weights, std, factor * std[:, None], narrow, lost)
+
+
+def prior_mean(statistics: FaceStatistics, lights: Tensor) -> Tensor:
+    """``s^T mu_n + mu_v(s)``, ``(A, P)``."""
+    return lights @ statistics.n_mean.flatten(1) + statistics.weights(lights) @ statistics.v_mean.flatten(1)
+
+
+def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
+    """Covariance of the intensities under lights a and b, pixel by pixel: ``s_a^T C_n s_b + cov v`` (3.16), ``(P, A, B)``."""
+    root = pixel.n_factor.flatten(2)  # (3, 3, P)
+    normal = torch.einsum("cap,cbp->pab", *(torch.einsum("ld,dcp->clp", t.light, root) for t in (a, b)))
+    unique = 1 - pixel.v_factor.flatten(2).square().sum(1)  # (J, P)
+    paired = (a.weights[:, None] * b.weights[None]).flatten(0, 1) @ unique  # (A B, P)
+    paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std[:, None] * b.std[None]
+    narrow = a.narrow[:, None] * b.narrow[None] + a.lost[:, None] * b.lost[None]
+    narrow = narrow * statistics.nugget(a.light, b.light)[..., None]
+    return normal + torch.einsum("arp,brp->pab", a.factor, b.factor) + (paired + narrow).permute(2, 0, 1)
+
+
+def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:
+    """Loadings of the images under ``lights (A, 3)``: ``Lambda_n^T s + w(s).Lambda_v``, ``(A, k, P)``."""
+    mixed = torch.cat((lights, statistics.weights(lights) @ face.basis.T), -1)  # (A, 3 + m)
+    both = torch.cat((face.n.flatten(2), face.v.flatten(2)), 1).transpose(0, 1)  # (3 + m, k, P)
+    return (mixed @ both.flatten(1)).unflatten(1, both.shape[1:])

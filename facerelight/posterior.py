@@ -1,0 +1,193 @@
+"""What is known of one face after its images are seen: condition once, render any light at the cost of linear algebra (DESIGN 4.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from facerelight import gaussian
+from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, prior_mean
+from facerelight.lights import unit_lights
+from facerelight.statistics import FaceStatistics
+
+__all__ = ["Posterior", "Relit"]
+
+NEAR = 1e-7  # kernel values below this cannot change a float32 image
+
+
+class Relit(NamedTuple):
+    """Relit images: ``mean`` and ``variance`` of every pixel, ``(B, Q, H, W)`` each, radiance and radiance squared."""
+
+    mean: Tensor
+    variance: Tensor
+
+
+class _Evidence(NamedTuple):
+    """One light hypothesis: input lights' terms, ``g = R_yy^-1 (y - mu_y)`` ``(K, P)`` and the factor of ``R_yy`` ``(P, K, K)``."""
+
+    terms: LightTerms
+    solved: Tensor
+    cholesky: Tensor
+    inputs: Tensor | None  # whitened loadings L^-1 L_y, (P, K, k)
+
+
+class PersonPosterior:
+    """The posterior of one person; averaged over ``M`` hypotheses about the input lights.
+
+    Args:
+        statistics: what the bootstrap taught.
+        images: ``(K, H, W)``.
+        hypotheses: ``(M, K, 3)`` input lights; a zero light takes its image out of the evidence.
+        covariance: "pixel" or "face".
+    """
+
+    def __init__(self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str) -> None:
+        self.statistics = statistics
+        self.face = statistics.face if covariance == "face" else None
+        pixel = statistics.pixel if self.face is None else self.face.residual
+        assert pixel is not None  # noqa: S101 - for the type checker; the relighter has checked it
+        self.pixel = pixel
+        observed = images.flatten(1)
+        self.n_map = statistics.n_mean.flatten(1).clone()
+        self.v_map = statistics.v_mean.flatten(1).clone()
+        self.pull = torch.zeros_like(self.v_map)
+        self.codes: list[tuple[Tensor, Tensor]] = []
+        self.evidence: list[_Evidence] = []
+        seen = hypotheses.square().sum(-1) > 0
+        for lights, kept in zip(hypotheses, seen, strict=True):
+            if kept.any():
+                self._add(observed[kept], unit_lights(lights[kept]), 1 / len(hypotheses))
+        self.prior_share = 1 - len(self.evidence) / len(hypotheses)
+
+    def _add(self, observed: Tensor, lights: Tensor, share: float) -> None:
+        statistics, pixel = self.statistics, self.pixel
+        terms = light_terms(statistics, pixel, lights, self.face)
+        covariance = image_covariance(statistics, pixel, terms, terms)
+        cholesky = gaussian.safe_cholesky(covariance)  # (P, K, K)
+        residual = (observed - prior_mean(statistics, lights)).double().T[..., None]  # (P, K, 1)
+        whitened = torch.linalg.solve_triangular(cholesky, residual, upper=False)
+        inputs = None
+        if self.face is not None:
+            loadings = loadings_at(statistics, self.face, lights)  # (K, k, P)
+            inputs = torch.linalg.solve_triangular(cholesky, loadings.double().permute(2, 0, 1), upper=False)  # (P, K, k)
+            code, spread = _face_code(inputs, whitened, float(self.face.temper))
+            self.codes.append((code, spread))
+            whitened = whitened - inputs @ code
+            self._explain(code[:, 0].to(observed), share)
+        solved = torch.linalg.solve_triangular(cholesky.mT, whitened, upper=True)[..., 0].T.to(observed)  # g, (K, P)
+        self.evidence.append(_Evidence(terms, solved, cholesky, inputs))
+        # n_MAP and b of DESIGN 4.3, averaged over the hypotheses
+        root = pixel.n_factor.flatten(2)
+        self.n_map += share * torch.einsum("dcp,ecp,kp,ke->dp", root, root, solved, lights)
+        learned = pixel.v_factor.flatten(2)
+        unique = 1 - learned.square().sum(1)
+        shared = (terms.factor * solved[:, None]).sum(0)  # (r, P)
+        self.pull += share * ((learned * shared).sum(1) + unique * (terms.weights.T @ (terms.std * solved)))
+
+    def _explain(self, code: Tensor, share: float) -> None:
+        """Move the mean maps by what the whole-face code says."""
+        face = self.face
+        assert face is not None  # noqa: S101
+        self.n_map += share * torch.tensordot(code, face.n.flatten(2), 1)
+        self.v_map += share * (face.basis.T @ torch.tensordot(code, face.v.flatten(2), 1))
+
+    def mean(self, targets: Tensor) -> Tensor:
+        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input lights."""
+        weights = self.statistics.weights(targets)
+        std = (weights @ self.pixel.v_std.flatten(1).square()).sqrt()
+        image = targets @ self.n_map + weights @ self.v_map + std * (weights @ self.pull)
+        share = (1 - self.prior_share) / max(len(self.evidence), 1)
+        for evidence in self.evidence:
+            kernel = self.statistics.nugget(targets, evidence.terms.light)  # (Q, K)
+            near = kernel.amax(1) > NEAR
+            if near.any():
+                terms = light_terms(self.statistics, self.pixel, targets[near], self.face)
+                narrow = terms.narrow * (kernel[near] @ (evidence.terms.narrow * evidence.solved))
+                lost = terms.lost * (kernel[near] @ (evidence.terms.lost * evidence.solved))
+                image[near] += share * (narrow + lost)
+        return image
+
+    def variance(self, targets: Tensor) -> Tensor:
+        """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of their means."""
+        return torch.cat([self._variance(target[None]) for target in targets])
+
+    def _variance(self, target: Tensor) -> Tensor:
+        terms = light_terms(self.statistics, self.pixel, target, self.face)
+        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0].double()  # (P, 1)
+        outputs = None
+        if self.face is not None:
+            outputs = loadings_at(self.statistics, self.face, target).double()[0].T  # (P, k)
+        if not self.evidence:
+            prior_face = 0 if outputs is None else outputs.square().sum(-1, keepdim=True)
+            return (prior + prior_face).T.to(target)
+        within = torch.zeros_like(prior[:, 0])
+        first, second = torch.zeros_like(within), torch.zeros_like(within)
+        for index, evidence in enumerate(self.evidence):
+            cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms).double()  # (P, K, 1)
+            whitened = torch.linalg.solve_triangular(evidence.cholesky, cross, upper=False)
+            variance = prior[:, 0] - whitened.square().sum((1, 2))
+            shift = (cross[..., 0] * evidence.solved.double().T).sum(-1)
+            if outputs is not None and evidence.inputs is not None:
+                code, spread = self.codes[index]
+                left = outputs - (whitened * evidence.inputs).sum(1)  # D, (P, k)
+                variance = variance + (left @ spread).square().sum(-1)
+                shift = shift + (outputs @ code)[:, 0]
+            within += gaussian.positive_variance(variance)
+            first += shift
+            second += shift.square()
+        count = len(self.evidence)
+        between = gaussian.positive_variance(second / count - (first / count).square())
+        total = within / count + (between if count > 1 else 0)
+        return total[None].to(target)
+
+
+def _face_code(inputs: Tensor, whitened: Tensor, temper: float) -> tuple[Tensor, Tensor]:
+    """Posterior mean ``(k, 1)`` of the whole-face code and a factor ``(k, k)`` of its covariance, the likelihood tempered (DESIGN 4.7)."""
+    design = inputs.flatten(0, 1)  # (P K, k)
+    precision = torch.eye(design.shape[1], dtype=design.dtype, device=design.device) + design.T @ design / temper
+    factor = gaussian.safe_cholesky(precision)
+    code = torch.cholesky_solve(design.T @ whitened.flatten(0, 1) / temper, factor)
+    root = torch.linalg.solve_triangular(factor, torch.eye(len(factor), dtype=factor.dtype, device=factor.device), upper=False).T
+    return code, root
+
+
+class Posterior:
+    """Posteriors of a batch of B persons, ready to be rendered under as many lights as wanted."""
+
+    def __init__(self, people: list[PersonPosterior], size: tuple[int, int]) -> None:
+        self.people = people
+        self.size = size
+
+    def mean(self, target_lights: Tensor) -> Tensor:
+        """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or ``(B, Q, 3)``."""
+        return self._render("mean", target_lights)
+
+    def variance(self, target_lights: Tensor) -> Tensor:
+        """The variance of every relit pixel (3.17), ``(B, Q, H, W)``."""
+        return self._render("variance", target_lights)
+
+    def render(self, target_lights: Tensor) -> Relit:
+        """Mean and variance under ``target_lights``."""
+        return Relit(self.mean(target_lights), self.variance(target_lights))
+
+    def code(self) -> Tensor:
+        """The whole-face code, a compact description of the person, ``(B, k)``; zero where nothing was observed."""
+        first = self.people[0]
+        if first.face is None:
+            raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
+        zero = torch.zeros(len(first.face.n))
+        return torch.stack(
+            [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
+        )
+
+    def _render(self, what: str, target_lights: Tensor) -> Tensor:
+        reference = self.people[0].n_map
+        targets = unit_lights(target_lights.to(reference))
+        if targets.dim() == 2:
+            targets = targets.expand(len(self.people), -1, -1)
+        if targets.dim() != 3 or len(targets) != len(self.people):
+            raise ValueError(f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}")
+        images = [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
+        return torch.stack(images).unflatten(-1, self.size)

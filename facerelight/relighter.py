@@ -1,0 +1,161 @@
+"""StatisticalRelighter: the optimal image of a face under a new light, and its variance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.posterior import PersonPosterior, Posterior, Relit
+from facerelight.statistics import FaceStatistics
+
+__all__ = ["StatisticalRelighter"]
+
+Covariance = Literal["pixel", "face"]
+
+
+class StatisticalRelighter(nn.Module):
+    """Render faces under new lights as the conditional mean of a Gaussian model learned from other faces (3.17, Algorithm 2).
+
+    Args:
+        statistics: what the bootstrap taught; its maps are registered buffers of this module.
+        covariance: "pixel" treats every pixel on its own, as the thesis does; "face" adds a code shared by the whole face.
+        estimator: finds the input lights where they are not given.
+
+    Example:
+        >>> lights = torch.eye(3)
+        >>> relighter = StatisticalRelighter(FaceStatistics.fit(torch.rand(5, 3, 8, 8), lights, rank=2))
+        >>> relighter(torch.rand(1, 1, 8, 8), lights, source_lights=lights[None, :1]).mean.shape
+        torch.Size([1, 3, 8, 8])
+    """
+
+    def __init__(
+        self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: KernelIlluminationEstimator | None = None
+    ) -> None:
+        super().__init__()
+        if covariance not in ("pixel", "face"):
+            raise ValueError(f"covariance: expected 'pixel' or 'face', got {covariance!r}")
+        if statistics.pixel is None:
+            raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
+        if covariance == "face" and statistics.face is None:
+            raise ValueError("covariance='face': these statistics have no whole-face loadings; fit them with face_rank > 0")
+        self.statistics = statistics
+        self.covariance = covariance
+        self.estimator = estimator
+
+    def condition(
+        self,
+        images: Tensor,
+        source_lights: Tensor | None = None,
+        estimator: KernelIlluminationEstimator | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+    ) -> Posterior:
+        """The expensive half, once: what is known of each person after seeing the images.
+
+        Args:
+            images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics' size.
+            source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes its image out of
+                the evidence. None: all are unknown, and are estimated and integrated over.
+            estimator: finds unknown lights; default: the module's own.
+            draws: samples of each unknown light (Algorithm 2).
+            generator: makes the samples another set; by default they are the same at every call.
+
+        Raises:
+            ValueError: shapes or values out of range.
+            RuntimeError: a light is unknown and there is no estimator.
+        """
+        images = self._checked(images)
+        if source_lights is None:
+            source_lights = torch.full((*images.shape[:2], 3), float("nan"))
+        lights = source_lights.to(images)
+        if lights.dim() == 2:
+            lights = lights.expand(len(images), -1, -1)
+        if lights.shape != (*images.shape[:2], 3):
+            raise ValueError(
+                f"source lights: expected (K, 3) or (B, K, 3) for images {tuple(images.shape[:2])}, got {tuple(source_lights.shape)}"
+            )
+        hypotheses = lights[:, None]
+        unknown = lights.isnan().any(-1)
+        if unknown.any():
+            finder = estimator or self.estimator
+            if finder is None:
+                raise RuntimeError("source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`")
+            if draws < 1:
+                raise ValueError(f"draws: expected at least 1, got {draws}")
+            drawn = finder.sample(images, draws, generator)
+            hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses)
+        people = [
+            PersonPosterior(self.statistics, person, tried, self.covariance)
+            for person, tried in zip(images, hypotheses, strict=True)
+        ]
+        return Posterior(people, self.statistics.size)
+
+    def forward(
+        self,
+        images: Tensor,
+        target_lights: Tensor,
+        source_lights: Tensor | None = None,
+        method: Literal["expected"] = "expected",
+        estimator: KernelIlluminationEstimator | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+    ) -> Relit:
+        """Relight ``images (B, K, H, W)`` to ``target_lights (Q, 3)`` or ``(B, Q, 3)``: :meth:`condition`, then render.
+
+        Returns:
+            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype.
+        """
+        if method != "expected":
+            raise ValueError(f"method: expected 'expected', got {method!r}")
+        posterior = self.condition(images, source_lights, estimator, draws, generator)
+        mean, variance = posterior.render(target_lights)
+        return Relit(mean.to(images), variance.to(images))
+
+    def _checked(self, images: Tensor) -> Tensor:
+        height, width = self.statistics.size
+        if images.dim() != 4 or tuple(images.shape[2:]) != (height, width):
+            raise ValueError(
+                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)}; align photos with facerelight.alignment first"
+            )
+        if not images.is_floating_point():
+            raise ValueError(f"images: expected floating linear radiance in 0..1, got {images.dtype}; divide by 255 and decode sRGB first")
+        if not torch.isfinite(images).all():
+            raise ValueError("images: expected finite radiance, got NaN or infinity")
+        if images.numel() and float(images.abs().max()) > 20:
+            raise ValueError(
+                f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images.max()):g}; divide by 255 or 65535?"
+            )
+        return images.to(self.statistics.n_mean)
+
+    def save_pretrained(self, folder: str | Path) -> None:
+        """Write ``statistics.safetensors`` and, where there is an estimator, ``estimator.safetensors`` into ``folder``."""
+        from safetensors.torch import save_file
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.estimator is not None:
+            partial = folder / "estimator.safetensors.part"
+            save_file({k: v.contiguous() for k, v in self.estimator.state_dict().items()}, partial)
+            partial.replace(folder / "estimator.safetensors")
+        self.statistics.save(folder / "statistics.safetensors")
+
+    @classmethod
+    def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
+        """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have loadings."""
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+
+        folder = Path(folder)
+        statistics = FaceStatistics.load(folder / "statistics.safetensors")
+        path = folder / "estimator.safetensors"
+        estimator = None
+        if path.exists():
+            try:
+                estimator = KernelIlluminationEstimator(**load_file(path))
+            except (OSError, SafetensorError, TypeError) as error:
+                raise ValueError(f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`") from error
+        return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator)

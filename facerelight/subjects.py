@@ -1,0 +1,152 @@
+"""Algebra over the bootstrap's subjects: Gram matrices, filling in missing images, and cross-validated loadings and residuals.
+
+Every statistic is a linear function of the subjects' images, so what to do with N subjects is decided on N x N matrices, once, and then
+applied to blocks of pixels as *subject operators*.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from facerelight.kernels import kernel_weights
+from facerelight.store import ImageStore
+
+__all__ = ["FaceOperators", "Grams", "face_operators", "fill_missing", "fill_operators", "gather_grams", "interpolation_error"]
+
+
+class Grams(NamedTuple):
+    """Inner products over all pixels, float64.
+
+    ``subjects (J, N, N)`` of the images under each light (missing ones count as zero), ``missing (N, J)``, ``deviation (J, J)`` of the
+    fields v, summed over subjects, and ``deviation_spread (J, J)`` of v less its mean over subjects.
+    """
+
+    subjects: Tensor
+    missing: Tensor
+    deviation: Tensor
+    deviation_spread: Tensor
+
+
+class FaceOperators(NamedTuple):
+    """``loadings (k, N)`` and ``residual (N, N)``: rows of weights over the subjects' fields."""
+
+    loadings: Tensor
+    residual: Tensor
+
+
+def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
+    """One pass over the images of ``store``, block by block."""
+    arrays = store.arrays()
+    pixels = arrays[0][0].size
+    count, light_count = len(arrays), len(lights)
+    missing = torch.stack([torch.from_numpy(array[:, 0, 0].copy()).isnan() for array in arrays])
+    if missing.all(0).any():
+        raise ValueError(f"images: expected every light to have one at least, got none for {int(missing.all(0).sum())} lights")
+    subjects = torch.zeros(light_count, count, count, dtype=torch.float64)
+    deviation = torch.zeros(light_count, light_count, dtype=torch.float64)
+    mean_part = torch.zeros_like(deviation)
+    off_lambert = (torch.eye(light_count, dtype=torch.float64) - lights.double() @ torch.linalg.pinv(lights.double())).float()
+    present = (~missing).float()
+    for start in range(0, pixels, block):
+        images = store.block(start, min(start + block, pixels)).nan_to_num(0.0)
+        subjects += torch.einsum("njp,mjp->jnm", images, images).double()
+        mean = images.sum(0) / present.sum(0)[:, None]
+        filled = torch.where(missing[..., None], mean, images) if missing.any() else images
+        v = off_lambert @ filled
+        deviation += torch.einsum("njp,nkp->jk", v, v).double()
+        mean_v = off_lambert @ mean
+        mean_part += (mean_v @ mean_v.T).double()
+    return Grams(subjects, missing, deviation, deviation - count * mean_part)
+
+
+def fill_operators(grams: Grams, ridge: float = 0.1) -> dict[int, Tensor]:
+    """For each light with missing images, ``(N, N)`` weights that predict every subject's image from the subjects that have one.
+
+    A missing image is the regression of its subject on the others over the lights that the subject has (one step of EM, started from the
+    mean face), so what is filled in keeps the person's own brightness and shape.
+    """
+    count = len(grams.missing)
+    fill = {}
+    for light in grams.missing.any(0).nonzero()[:, 0].tolist():
+        gone = grams.missing[:, light]
+        operator = torch.eye(count, dtype=torch.float64)
+        operator[gone] = (~gone).double() / (~gone).sum()
+        for subject in gone.nonzero()[:, 0].tolist():
+            others = (~gone).nonzero()[:, 0]
+            seen = (~grams.missing[subject]) & (~grams.missing[others]).all(0)
+            if not seen.any():
+                continue
+            gram = grams.subjects[seen].sum(0)
+            centring = torch.eye(len(others), dtype=torch.float64) - 1 / len(others)
+            spread = centring @ gram[others][:, others] @ centring
+            mean = gram[others].mean(0)
+            cross = centring @ (gram[others, subject] - mean[others])
+            penalty = ridge * spread.diagonal().mean() + 1e-12
+            weights = torch.linalg.solve(spread + penalty * torch.eye(len(others), dtype=torch.float64), cross)
+            operator[subject] = 0
+            operator[subject, others] = centring @ weights + 1 / len(others)
+        fill[light] = operator
+    return fill
+
+
+def fill_missing(images: Tensor, fill: dict[int, Tensor]) -> Tensor:
+    """``images (N, J, P)`` with the missing (NaN) ones replaced."""
+    if not fill:
+        return images
+    images = images.nan_to_num(0.0)
+    for light, operator in fill.items():
+        images[:, light] = operator.to(images) @ images[:, light]
+    return images
+
+
+def face_operators(grams: Grams, fill: dict[int, Tensor], rank: int) -> FaceOperators:
+    """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects (DESIGN 4.7).
+
+    Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out: its residual is what
+    the others' components leave of it, and each loading is scaled by the spread of the left-out subjects' scores. At rank 0 the residual
+    is exactly the per-pixel model's centred field.
+    """
+    light_count, count = grams.subjects.shape[:2]
+    gram = torch.zeros(count, count, dtype=torch.float64)
+    for light in range(light_count):
+        operator = fill.get(light)
+        inner = grams.subjects[light]
+        gram += inner if operator is None else operator @ inner @ operator.T
+    rank = min(rank, count - 2)
+    residual = torch.empty(count, count, dtype=torch.float64)
+    scores = torch.empty(count, rank, dtype=torch.float64)
+    for subject in range(count):
+        left_out = torch.zeros(count, dtype=torch.float64)
+        left_out[subject] = 1
+        mean = (1 - left_out) / (count - 1)
+        components, values = _components(gram, mean, rank)
+        offset = left_out - mean
+        score = components @ gram @ offset
+        residual[subject] = offset - score @ components
+        scores[subject] = score / (values / (count - 2)).sqrt()
+    shrink = (count - 1) / count  # makes rank 0 the sample variance with N - 1 degrees of freedom
+    mean = torch.full((count,), 1 / count, dtype=torch.float64)
+    components, values = _components(gram, mean, rank)
+    scale = scores.square().mean(0) * shrink
+    loadings = components * (scale * values / (count - 1)).sqrt()[:, None]
+    return FaceOperators(loadings.float(), (residual * shrink**0.5).float())
+
+
+def _components(gram: Tensor, mean: Tensor, rank: int) -> tuple[Tensor, Tensor]:
+    """Leading principal fields about the weighted mean: unit-norm, as weights ``(rank, N)`` over subjects, and their sums of squares."""
+    members = mean > 0
+    centring = torch.diag(members.double()) - torch.outer(members.double(), mean)
+    values, vectors = torch.linalg.eigh(centring @ gram @ centring.T)
+    values, vectors = values.flip(0)[:rank].clamp_min(1e-12 * gram.diagonal().mean()), vectors.flip(1)[:, :rank]
+    return (vectors.T @ centring) / values.sqrt()[:, None], values
+
+
+def interpolation_error(deviation: Tensor, distance: Tensor, widths: Tensor) -> float:
+    """Squared error of predicting v at each bootstrap light from the others by kernel regression, over all subjects and pixels."""
+    squared = distance.square().clone()
+    squared.fill_diagonal_(torch.inf)
+    error = torch.eye(len(distance), dtype=torch.float64) - kernel_weights(squared, widths)
+    return float(torch.einsum("aj,jk,ak->", error, deviation, error))
