@@ -76,6 +76,8 @@ def main() -> None:
         "eye_left": np.flatnonzero(np.isin(used, [v for p in groups["helper-l-eye"] for v, _ in p])).astype(np.uint16),
         "eye_right": np.flatnonzero(np.isin(used, [v for p in groups["helper-r-eye"] for v, _ in p])).astype(np.uint16),
     }
+    seam = np.linalg.norm(vertices[used] - (0.0, 6.625, 1.575), axis=1)  # between the lips
+    packed["mouth"] = np.argsort(seam)[:6].astype(np.uint16)
 
     def add(name: str, path: Path) -> None:
         packed[name] = read_target(path, len(vertices))[used].astype(np.float16)

@@ -1,0 +1,103 @@
+"""The bootstrap: rendered people under a set of lights, as a torch dataset."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from facerelight.alignment import CropFrame
+from facerelight.bootstrap.heads import HeadSource, place_in_frame
+from facerelight.bootstrap.renderer import MeshRenderer
+from facerelight.bootstrap.scene import Surface, plan_effects, shade, view_surface
+from facerelight.bootstrap.skin import Domain, Look, Material
+
+__all__ = ["BootstrapDataset", "RenderedHead", "open_renderer"]
+
+HEAD_REACH = 3.2  # half the side of the shadow map, in distances between the eyes: covers the whole head, turned or not
+
+
+class RenderedHead(NamedTuple):
+    """``subject`` index, ``images (J, H, W)`` linear radiance, ``work``: effect passes and pixels run and skipped."""
+
+    subject: int
+    images: Tensor
+    work: Counter[str]
+
+
+def open_renderer(frame: CropFrame, supersample: int = 1) -> MeshRenderer:
+    """A renderer for heads placed in ``frame``."""
+    eyes = frame.landmarks[:2]
+    extent = HEAD_REACH * float(torch.linalg.vector_norm(eyes[1] - eyes[0]))
+    return MeshRenderer(frame.height, frame.width, extent=extent, supersample=supersample)
+
+
+class BootstrapDataset(Dataset[RenderedHead]):
+    """Rendered people: item ``i`` is person ``i`` under all ``lights``.
+
+    Args:
+        source: where heads come from.
+        count: how many people.
+        lights: ``(J, 3)`` unit vectors.
+        frame: the crop to render.
+        domain: settings of paint and light.
+        seed: of the paint; the heads have their own.
+        effects: "auto" (only what each scene calls for), "all", or names; the images are the same for the first two.
+        supersample: samples a pixel along each side, averaged.
+
+    A renderer is opened in the process (or worker) that first asks for an item.
+    """
+
+    def __init__(
+        self,
+        source: HeadSource,
+        count: int,
+        lights: Tensor,
+        frame: CropFrame,
+        domain: Domain | None = None,
+        seed: int = 0,
+        effects: str | Iterable[str] = "auto",
+        supersample: int = 1,
+    ) -> None:
+        if count < 1:
+            raise ValueError(f"count: expected at least 1 head, got {count}")
+        self.source, self.count, self.lights, self.frame = source, count, lights, frame
+        self.domain, self.seed, self.effects, self.supersample = domain or Domain(), seed, effects, supersample
+        self._renderer: MeshRenderer | None = None
+
+    def __len__(self) -> int:
+        return self.count
+
+    def surface(self, index: int) -> tuple[Surface, Material]:
+        """Person ``index``, painted and seen by the camera, and their material."""
+        if self._renderer is None:
+            self._renderer = open_renderer(self.frame, self.supersample)
+        look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
+        head = place_in_frame(self.source.head(index), self.frame)
+        return view_surface(self._renderer, head, look), look.material
+
+    def __getitem__(self, index: int) -> RenderedHead:
+        if not 0 <= index < self.count:
+            raise IndexError(f"head {index} of {self.count}")
+        surface, material = self.surface(index)
+        assert self._renderer is not None  # noqa: S101 - opened by surface()
+        work: Counter[str] = Counter(geometry=1)
+        images = []
+        for light in self.lights:
+            plan = plan_effects(surface, light, material, self.effects)
+            images.append(shade(surface, light, material, plan, self._renderer, work))
+        stack = torch.stack(images)
+        if self.supersample > 1:
+            stack = torch.nn.functional.avg_pool2d(stack[:, None], self.supersample)[:, 0]
+        return RenderedHead(index, stack, work)
+
+    def close(self) -> None:
+        """Release the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

@@ -1,0 +1,267 @@
+"""Heads to learn from: seeded random people of the packed CC0 model, scanned identities of ICT-FaceKit, or meshes of the user's own.
+
+Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one unit apart.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import trimesh
+
+from facerelight.alignment import CropFrame
+
+__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate"]
+
+
+class Head(NamedTuple):
+    """A head mesh.
+
+    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint follows it);
+    ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth centre.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    reference: np.ndarray
+    is_eye: np.ndarray
+    landmarks: np.ndarray
+
+    def normals(self) -> np.ndarray:
+        """Smooth vertex normals ``(V, 3)``."""
+        return np.array(trimesh.Trimesh(self.vertices, self.triangles, process=False).vertex_normals, np.float32)
+
+
+class HeadSource(Protocol):
+    """Something that gives head number ``index``, the same one every time."""
+
+    def head(self, index: int) -> Head: ...
+
+
+def _normalise(vertices: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """To the units of this module, without turning: eyes one unit apart, origin midway."""
+    origin = landmarks[:2].mean(0)
+    scale = np.linalg.norm(landmarks[1] - landmarks[0])
+    return (vertices - origin) / scale, (landmarks - origin) / scale
+
+
+class MakeHumanHeads:
+    """Random people from MakeHuman's morph targets (CC0, packed with the package): sex, age, origin, build, 100 local shapes, asymmetry.
+
+    Args:
+        seed: another seed gives other people; person ``index`` depends on ``(seed, index)`` alone.
+        spread: standard deviation of the local shapes; 0.25 looks like people, 0.35 like caricatures.
+        expression: weights in 0..1 of named expression shapes (:attr:`expressions`), the same for everybody.
+    """
+
+    ORIGINS = ("african", "asian", "caucasian")
+
+    def __init__(self, seed: int = 0, spread: float = 0.25, expression: dict[str, float] | None = None) -> None:
+        self.seed, self.spread, self.expression = seed, spread, dict(expression or {})
+        self._data = _packed_heads()
+        unknown = set(self.expression) - set(self.expressions)
+        if unknown:
+            raise ValueError(f"expression: unknown {sorted(unknown)}; choose from {', '.join(self.expressions)}")
+        self._reference = self._place(self._data["vertices"])[0]
+
+    @property
+    def expressions(self) -> list[str]:
+        """Names of the expression shapes."""
+        return [name.split("/")[1] for name in self._data if name.startswith("expression/")]
+
+    def head(self, index: int) -> Head:
+        """Person ``index``."""
+        rng = np.random.default_rng((self.seed, index))
+        vertices = self._data["vertices"].astype(np.float64)
+        for name, weight in self._recipe(rng).items():
+            vertices += weight * self._data[name]
+        placed, landmarks = self._place(vertices)
+        is_eye = np.zeros(len(vertices), np.float32)
+        is_eye[np.concatenate((self._data["eye_left"], self._data["eye_right"]))] = 1
+        return Head(placed, self._data["triangles"], self._reference, is_eye, landmarks)
+
+    def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        data = self._data  # MakeHuman's left is the viewer's right
+        points = np.stack([vertices[data[name]].mean(0) for name in ("eye_right", "eye_left", "mouth")])
+        return _normalise(vertices, points)
+
+    def _recipe(self, rng: np.random.Generator) -> dict[str, float]:
+        """Random weights of the morph targets."""
+        male = float(rng.choice((rng.beta(1, 6), rng.beta(6, 1))))
+        old = float(rng.beta(1.2, 1.5))
+        muscle, weight = _tent(rng.uniform(0.2, 0.8)), _tent(rng.uniform(0.15, 0.9))
+        origin = dict(zip(self.ORIGINS, rng.dirichlet((0.4,) * 3), strict=True))
+        recipe: dict[str, float] = {}
+        for sex, by_sex in (("female", 1 - male), ("male", male)):
+            for age, by_age in (("young", 1 - old), ("old", old)):
+                for name, share in origin.items():
+                    recipe[f"macro/{name}-{sex}-{age}"] = by_sex * by_age * share
+                for m, by_m in zip(("minmuscle", "averagemuscle", "maxmuscle"), muscle, strict=True):
+                    for w, by_w in zip(("minweight", "averageweight", "maxweight"), weight, strict=True):
+                        recipe[f"macro/universal-{sex}-{age}-{m}-{w}"] = by_sex * by_age * by_m * by_w
+        locals_ = sorted({name.rsplit("/", 1)[0] for name in self._data if name.startswith("local/")})
+        drawn: dict[str, float] = {}
+        for name in locals_:  # a right side follows its left side; asymmetry has targets of its own
+            stem, side = name.split("@")
+            value = float(np.clip(rng.normal(0, self.spread), -1, 1))
+            value = drawn.setdefault(stem, value) if side != "unsided" else value
+            value *= 0.5 if name.split("/")[1] in ("head", "ears") else 1.0
+            recipe[f"{name}/{'+' if value > 0 else '-'}"] = abs(value)
+        for name in (n for n in self._data if n.startswith("asymmetry/")):
+            if rng.random() < 0.3:
+                recipe[name] = abs(float(rng.normal(0, 0.2)))
+        shapes = [name for name in self._data if name.startswith("shape/")]
+        for name, share in zip(shapes, rng.dirichlet((0.3,) * len(shapes)) * rng.uniform(0, 0.8), strict=True):
+            recipe[name] = float(share)
+        recipe |= {f"expression/{name}": weight for name, weight in self.expression.items()}
+        return recipe
+
+
+class IctHeads:
+    """Random identities of ICT-FaceKit (MIT): the mean of scanned heads plus Gaussian weights on 100 identity modes.
+
+    Args:
+        path: ``ict_heads.npz``.
+        seed: another seed gives other people.
+        spread: factor on the modes' standard deviations.
+    """
+
+    def __init__(self, path: str | Path, seed: int = 0, spread: float = 0.8) -> None:
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                self._data = {k: data[k] for k in ("vertices", "identity_basis", "triangles", "landmarks68", "triangle_part", "part_names")}
+        except (OSError, ValueError, KeyError) as error:
+            raise ValueError(f"{path}: expected ict_heads.npz; got {error}") from error
+        self.seed, self.spread = seed, spread
+        parts = [str(name) for name in self._data["part_names"]]
+        kept = [i for i, name in enumerate(parts) if any(word in name.lower() for word in ("face", "head", "eye"))] or range(len(parts))
+        inside = np.isin(self._data["triangle_part"], list(kept))
+        self._triangles = self._data["triangles"][inside]
+        eyes = [i for i, name in enumerate(parts) if "eye" in name.lower()]
+        self._is_eye = np.zeros(len(self._data["vertices"]), np.float32)
+        self._is_eye[np.unique(self._data["triangles"][np.isin(self._data["triangle_part"], eyes)])] = 1
+        self._reference = self._place(self._data["vertices"])[0]
+
+    def head(self, index: int) -> Head:
+        """Identity ``index``."""
+        rng = np.random.default_rng((self.seed, index))
+        modes = self._data["identity_basis"].astype(np.float64)
+        vertices = self._data["vertices"] + np.tensordot(rng.normal(0, self.spread, len(modes)), modes, 1)
+        placed, landmarks = self._place(vertices)
+        return Head(placed, self._triangles, self._reference, self._is_eye, landmarks)
+
+    def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mark = vertices[self._data["landmarks68"]]  # iBUG order: 36-41 and 42-47 the eyes, 48-67 the mouth
+        return _normalise(vertices, np.stack((mark[36:42].mean(0), mark[42:48].mean(0), mark[60:68].mean(0))))
+
+
+class MeshFolder:
+    """Meshes of the user's own (.obj, .ply, .glb), each with marked points in ``NAME.points.txt``: one ``x y z`` a line, three or more.
+
+    The first three points are the eye centre at image-left, the one at image-right and the mouth centre; further ones (the thesis used
+    eight) must come in the same order for every mesh. A 3-D similarity takes the points to those of the first mesh, which itself is
+    placed by its first three points (4.2.1).
+    """
+
+    SUFFIXES = (".obj", ".ply", ".glb")
+    FRONT = np.array(((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), (0.0, -1.07, 0.45)))
+
+    def __init__(self, folder: str | Path) -> None:
+        self.paths = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in self.SUFFIXES)
+        if not self.paths:
+            raise ValueError(f"{folder}: expected meshes ({', '.join(self.SUFFIXES)}), found none")
+        self._target: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def head(self, index: int) -> Head:
+        """Mesh number ``index``, in the order of the file names."""
+        if not 0 <= index < len(self.paths):
+            raise ValueError(f"head: expected an index below {len(self.paths)}, got {index}")
+        path = self.paths[index]
+        points = self._points(path)
+        if self._target is None:
+            first = points if index == 0 else self._points(self.paths[0])
+            self._target = apply_similarity(fit_similarity_3d(first[:3], self.FRONT), first)
+        if points.shape != self._target.shape:
+            raise ValueError(f"{path}: expected {len(self._target)} marked points as in the first mesh, got {len(points)}")
+        try:
+            mesh = trimesh.load(path, force="mesh", process=False)
+        except Exception as error:  # trimesh raises whatever its parsers do
+            raise ValueError(f"{path}: expected a readable mesh, got {error}") from error
+        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+            raise ValueError(f"{path}: expected a mesh with triangles and finite vertices")
+        move = fit_similarity_3d(points, self._target)
+        vertices = apply_similarity(move, np.asarray(mesh.vertices, np.float64))
+        return Head(vertices, np.asarray(mesh.faces), vertices, np.zeros(len(vertices), np.float32), apply_similarity(move, points)[:3])
+
+    @staticmethod
+    def _points(path: Path) -> np.ndarray:
+        marked = path.with_suffix(".points.txt")
+        try:
+            points = np.loadtxt(marked, ndmin=2)
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{marked}: expected one 'x y z' a line for {path.name}; got {error}") from error
+        if points.shape[0] < 3 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ValueError(f"{marked}: expected three or more finite 'x y z' points, got an array of {points.shape}")
+        return points
+
+
+def fit_similarity_3d(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Least-squares similarity between ``(N, 3)`` point sets (Umeyama 1991): scale, rotation ``(3, 3)``, translation ``(3,)``."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, d, vt = np.linalg.svd(b.T @ a)
+    if d[1] < 1e-9 * max(d[0], 1e-30):
+        raise ValueError("marked points: expected three off one line, got collinear or coincident ones")
+    sign = np.array((1.0, 1.0, np.sign(np.linalg.det(u @ vt))))
+    rotation = u @ np.diag(sign) @ vt
+    scale = float((d * sign).sum() / (a**2).sum())
+    return scale, rotation, target.mean(0) - scale * rotation @ source.mean(0)
+
+
+def apply_similarity(move: tuple[float, np.ndarray, np.ndarray], points: np.ndarray) -> np.ndarray:
+    """``s R x + t`` for every row of ``points``."""
+    scale, rotation, shift = move
+    return scale * points @ rotation.T + shift
+
+
+def rotate(head: Head, azimuth: float, elevation: float) -> Head:
+    """Turn a head as if the camera moved to ``azimuth``, ``elevation`` (degrees): positive azimuth shows what lies at image-left."""
+    a, e = np.deg2rad((azimuth, elevation))
+    about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
+    about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
+    turn = about_x @ about_y
+    return head._replace(vertices=head.vertices @ turn.T, landmarks=head.landmarks @ turn.T)
+
+
+def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:
+    """Scale and shift a head so that its landmarks fall, least squares, on the crop's; one unit is then one pixel, origin the crop's centre.
+
+    Args:
+        head: as a source gives it, or turned.
+        frame: the crop.
+        landmarks: place these ``(3, 3)`` instead of the head's own (a turned head is placed by its upright landmarks).
+    """
+    target = (frame.landmarks.numpy() - ((frame.width - 1) / 2, (frame.height - 1) / 2)) * (1, -1)
+    points = (head.landmarks if landmarks is None else landmarks)[:, :2]
+    a, b = points - points.mean(0), target - target.mean(0)
+    scale = float((a * b).sum() / (a**2).sum())  # upright by construction: no turn in the plane
+    shift = np.append(target.mean(0) - scale * points.mean(0), 0.0)
+    return head._replace(vertices=scale * head.vertices + shift, landmarks=scale * head.landmarks + shift)
+
+
+def _tent(x: float) -> tuple[float, float, float]:
+    """Weights of minimum, average and maximum for x in 0..1."""
+    return max(0.0, 1 - 2 * x), 1 - abs(2 * x - 1), max(0.0, 2 * x - 1)
+
+
+@lru_cache(maxsize=1)
+def _packed_heads() -> dict[str, np.ndarray]:
+    """The packed morph targets; read once a process."""
+    with files("facerelight.bootstrap").joinpath("data/heads.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
+        return {name: data[name] for name in data}
