@@ -76,9 +76,10 @@ class MakeHumanHeads:
     def head(self, index: int) -> Head:
         """Person ``index``."""
         rng = np.random.default_rng((self.seed, index))
-        vertices = self._data["vertices"].astype(np.float64)
-        for name, weight in self._recipe(rng).items():
-            vertices += weight * self._data[name]
+        recipe = {name: weight for name, weight in self._recipe(rng).items() if weight}
+        vertices = self._data["vertices"] + np.tensordot(
+            np.array(list(recipe.values()), np.float32), np.stack([self._data[name] for name in recipe]), 1
+        )
         placed, landmarks = self._place(vertices)
         is_eye = np.zeros(len(vertices), np.float32)
         is_eye[np.concatenate((self._data["eye_left"], self._data["eye_right"]))] = 1
@@ -264,4 +265,4 @@ def _tent(x: float) -> tuple[float, float, float]:
 def _packed_heads() -> dict[str, np.ndarray]:
     """The packed morph targets; read once a process."""
     with files("facerelight.bootstrap").joinpath("data/heads.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
-        return {name: data[name] for name in data}
+        return {name: data[name].astype(np.float32) if data[name].dtype == np.float16 else data[name] for name in data}

@@ -168,8 +168,15 @@ class MeshRenderer:
         """Take a mesh: ``feature (V, 4)`` is interpolated along with positions and normals."""
         self._camera_scene = _scene(vertices, normals, triangles, feature)
         self._camera_scene.add(self._view, pose=_look_along(np.array([0.0, 0.0, 1.0]), 10 * self.extent))
-        self._light_scene = _scene(vertices, normals, triangles, feature)
-        self._light_node = self._light_scene.add(self._light_view)
+        self._casters = self._front_casters = self._light_scene(vertices, triangles)
+
+    def limit_casters(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        """Of the loaded mesh, the ``triangles`` alone that can shade what the camera sees from lights in front of it."""
+        self._front_casters = self._light_scene(vertices, triangles)
+
+    def _light_scene(self, vertices: np.ndarray, triangles: np.ndarray) -> tuple[pyrender.Scene, pyrender.Node]:
+        scene = _scene(vertices, np.zeros_like(vertices), triangles, np.zeros((len(vertices), 4)))
+        return scene, scene.add(self._light_view)
 
     def geometry(self) -> Geometry:
         """One pass from the camera."""
@@ -181,7 +188,7 @@ class MeshRenderer:
         """The rotation ``(3, 3)`` into the frame of a light: its map's x and y, and the height along it."""
         return _look_along(light, 1.0)[:3, :3].T.astype(np.float32)
 
-    def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None) -> np.ndarray:
+    def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None, limited: bool = False) -> np.ndarray:
         """The nearest surface seen from a light: heights along it, thousands of units below the mesh where nothing is.
 
         Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``, ``y = (1 - (i + 0.5) / S * 2) * extent`` of
@@ -190,10 +197,12 @@ class MeshRenderer:
         Args:
             light: unit vector ``(3,)``.
             window: left, top, width and height of the part of the map that is wanted; None: all of it, ``(S, S)``.
+            limited: draw only the triangles of :meth:`limit_casters`.
         """
-        self._light_scene.set_pose(self._light_node, _look_along(light, 10 * self.extent))
+        scene, node = self._front_casters if limited else self._casters
+        scene.set_pose(node, _look_along(light, 10 * self.extent))
         self._light.window = window
-        (image,) = self._render(self._light, self._light_scene)
+        (image,) = self._render(self._light, scene)
         return image[..., 0] + np.float32(10 * self.extent - EMPTY)
 
     def _render(self, renderer: _FloatRenderer, scene: pyrender.Scene) -> tuple[np.ndarray, ...]:

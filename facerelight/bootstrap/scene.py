@@ -26,9 +26,11 @@ RELIEF_SIZE = 128  # cells along each side of the light map; the relief that bou
 NEAR_CELLS = 3  # within so many cells occlusion is judged by slope, beyond by height
 FRESNEL = 0.04  # reflectance of skin at normal incidence
 SMALL = 1e-6  # radiance that cannot matter
+GRAZING = 0.36  # cosine
+IN_FRONT = 0.02  # z of the lights for which what hides a point stands in front of it
 BELOW = -1e4  # a height below everything
 ON_AXIS = 1e-3  # lights closer to the camera axis than this hide nothing that the camera sees
-STEEPEST = 1.5  # steeper relief than this may be hidden in part by its own edge, whatever the light
+STEEPEST = 1.3  # steeper relief than this may be hidden in part by its own edge, whatever the light
 
 
 class Relief(NamedTuple):
@@ -79,6 +81,8 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
     relief = _map_relief(renderer, head)
+    tops = head.vertices[head.triangles, 2].max(1)
+    renderer.limit_casters(head.vertices, head.triangles[tops > float(position[:, 2].min()) - relief.step])
     column = ((position[:, 0] / renderer.extent + 1) * RELIEF_SIZE / 2).long() - relief.corner[1]
     row = ((1 - position[:, 1] / renderer.extent) * RELIEF_SIZE / 2).long() - relief.corner[0]
     rows, columns = relief.highest.shape
@@ -156,14 +160,15 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     """
     relief = surface.relief
     sideways = float(torch.linalg.vector_norm(light[:2]))
-    if float(light[2]) <= 0.02:
+    if float(light[2]) <= IN_FRONT:
         return lit
     if sideways < ON_AXIS:
         return torch.zeros_like(lit)
     slope = float(light[2]) / sideways
     x, y = (light[:2] / sideways).tolist()
     climb = relief.slope[0 if x > 0 else 1] * abs(x) + relief.slope[2 if y > 0 else 3] * abs(y)
-    steep = np.where(climb >= min(slope, STEEPEST) * 0.9 - 0.05, 0, BELOW).astype(np.float32)
+    grazing = slope - GRAZING / sideways * np.sqrt(1 + climb**2)  # facets that face the light by less than this may shade themselves
+    steep = np.where(climb >= np.minimum(grazing, STEEPEST), 0, BELOW).astype(np.float32)
     drop = relief.step * slope
     depth = relief.highest.max() - float(surface.position[:, 2].min())
     reach = min(RELIEF_SIZE, NEAR_CELLS + 2 + int(depth / drop))
@@ -245,9 +250,11 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
     row = (1 - local[:, 1] / renderer.extent) * size / 2 - 0.5
     left, top = (int(axis.amin().clamp(2, size - 3)) - 2 for axis in (column, row))
     right, bottom = (int(axis.amax().clamp(2, size - 3)) + 3 for axis in (column, row))
-    if plan.cast.all():  # everything, everywhere
+    everywhere = bool(plan.cast.all())
+    if everywhere:
         left, top, right, bottom = 0, 0, size, size
-    height = torch.from_numpy(renderer.heights(direction, (left, top, right - left, bottom - top)))
+    limited = not everywhere and float(light[2]) > IN_FRONT
+    height = torch.from_numpy(renderer.heights(direction, (left, top, right - left, bottom - top), limited))
     cosine = (surface.normal[plan.cast] @ light).clamp(0.05, 1)
     margin = texel * (4.0 + 2.0 * (1 - cosine**2).sqrt() / cosine)
     taps = torch.tensor((-1.0, 0.0, 1.0))[:, None]
