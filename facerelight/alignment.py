@@ -52,6 +52,15 @@ class CropFrame:
         own_centre = torch.tensor([(self.width - 1) / 2, (self.height - 1) / 2], dtype=torch.float64)
         return (torch.tensor(CANONICAL_LANDMARKS, dtype=torch.float64) - centre) * self.scale + own_centre
 
+    def oval(self) -> Tensor:
+        """Distance from the middle of the face in units of its outline, ``(height, width)``: 1 runs from hairline to chin."""
+        eyes = self.landmarks[:2]
+        middle, unit = eyes.mean(0), float(eyes[1, 0] - eyes[0, 0])
+        y, x = torch.meshgrid(torch.arange(self.height), torch.arange(self.width), indexing="ij")
+        across, up = (x - middle[0]) / unit, (middle[1] - y) / unit
+        half_width = 1.0 - 0.06 * (-0.4 - up).clamp_min(0)  # narrower towards the chin
+        return torch.hypot(across / half_width, (up + 0.42) / 1.42).float()
+
 
 def fit_similarity(source: Tensor, target: Tensor) -> Tensor:
     """The least-squares similarity that takes ``source`` points to ``target`` points, in closed form (Umeyama 1991), no reflection.

@@ -20,6 +20,8 @@ __all__ = [
     "covariance_factor",
     "positive_variance",
     "safe_cholesky",
+    "solve_lower",
+    "solve_upper",
 ]
 
 JITTER_STEPS = (1e-12, 1e-10, 1e-8, 1e-6)  # relative to the mean diagonal
@@ -77,6 +79,16 @@ def safe_cholesky(matrix: Tensor) -> Tensor:
         f"covariance: expected positive semidefinite, {int((info != 0).sum())} of {failed.numel()} matrices are not,"
         f" even with a relative jitter of {JITTER_STEPS[-1]:g}; check for contradictory or corrupt statistics"
     )
+
+
+def solve_lower(factor: Tensor, right: Tensor) -> Tensor:
+    """``L^-1 B`` for lower factors ``(..., K, K)`` and ``(..., K, M)``; one by one is a division."""
+    return right / factor if factor.shape[-1] == 1 else torch.linalg.solve_triangular(factor, right, upper=False)
+
+
+def solve_upper(factor: Tensor, right: Tensor) -> Tensor:
+    """``L^-T B`` for lower factors ``(..., K, K)`` and ``(..., K, M)``."""
+    return right / factor if factor.shape[-1] == 1 else torch.linalg.solve_triangular(factor.mT, right, upper=True)
 
 
 def positive_variance(variance: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from facerelight.gaussian import covariance_factor
 from facerelight.kernels import kernel_weights, neighbour_widths
 from facerelight.lights import unit_lights
 
-__all__ = ["KernelIlluminationEstimator", "LightEstimate", "quasi_normal"]
+__all__ = ["KernelIlluminationEstimator", "LightEstimate", "fit_soft_light", "quasi_normal"]
 
 
 class LightEstimate(NamedTuple):
@@ -37,7 +37,8 @@ class KernelIlluminationEstimator(nn.Module):
 
     Images are compared small and normalised in brightness, because cameras and flashes differ.
 
-    Buffers: ``prototypes (R, D)`` unit vectors, ``prototype_lights (R, 3)``, ``widths (R,)``, ``bias (3,)``, ``error_factor (3, 3)``.
+    Buffers: ``prototypes (R, D)`` unit vectors, ``prototype_lights (R, 3)``, ``widths (R,)``, ``bias (3,)``, ``error_factor (3, 3)``,
+    ``weight (h, w)`` of the thumbnail's pixels in the comparison.
 
     Example:
         >>> lights = torch.nn.functional.normalize(torch.randn(12, 3), dim=-1)
@@ -51,9 +52,10 @@ class KernelIlluminationEstimator(nn.Module):
     widths: Tensor
     bias: Tensor
     error_factor: Tensor
+    weight: Tensor
 
     def __init__(
-        self, prototypes: Tensor, prototype_lights: Tensor, widths: Tensor, bias: Tensor, error_factor: Tensor, thumbnail: Tensor
+        self, prototypes: Tensor, prototype_lights: Tensor, widths: Tensor, bias: Tensor, error_factor: Tensor, weight: Tensor
     ) -> None:
         super().__init__()
         for name, tensor in (
@@ -62,7 +64,7 @@ class KernelIlluminationEstimator(nn.Module):
             ("widths", widths),
             ("bias", bias),
             ("error_factor", error_factor),
-            ("thumbnail", thumbnail),
+            ("weight", weight),
         ):
             self.register_buffer(name, tensor)
 
@@ -74,6 +76,7 @@ class KernelIlluminationEstimator(nn.Module):
         valid: Tensor | None = None,
         fraction: float = 0.002,
         thumbnail: tuple[int, int] = (24, 21),
+        weight: Tensor | None = None,
         folds: int = 5,
     ) -> KernelIlluminationEstimator:
         """Store ``images (N, J, H, W)`` under ``lights (J, 3)`` as prototypes; learn bias and error covariance over left-out people.
@@ -84,6 +87,7 @@ class KernelIlluminationEstimator(nn.Module):
             valid: which images exist.
             fraction: of all prototypes, how many lie within one kernel width of each (the thesis says about a tenth).
             thumbnail: size at which images are compared.
+            weight: ``(H, W)``, how much each pixel counts; leaves out what is not face. None: all alike.
             folds: groups of people left out in turn.
         """
         if images.dim() != 4 or images.shape[1] != len(lights):
@@ -91,52 +95,95 @@ class KernelIlluminationEstimator(nn.Module):
         count, light_count = images.shape[:2]
         kept = torch.isfinite(images.flatten(2)).all(-1)
         kept = kept if valid is None else kept & valid
-        thumbs, energy = _thumbnails(images.nan_to_num(0.0).flatten(0, 1), thumbnail)
+        weight = torch.ones(images.shape[2:]) if weight is None else weight
+        weight = torch.nn.functional.interpolate(weight[None, None].float(), size=thumbnail, mode="area")[0, 0]
+        thumbs, energy = _thumbnails(images.nan_to_num(0.0).flatten(0, 1), weight)
         usable = (kept.flatten() & (energy > 0)).nonzero()[:, 0]
         person = usable // light_count
         points, directions = thumbs[usable], unit_lights(lights.float())[usable % light_count]
-        size = torch.tensor(thumbnail)
         errors = []
         for fold in range(min(folds, count)):
             out = person % min(folds, count) == fold
             if out.all() or not out.any():
                 continue
-            trained = cls(points[~out], directions[~out], _widths(points[~out], fraction), torch.zeros(3), torch.zeros(3, 3), size)
+            trained = cls(points[~out], directions[~out], _widths(points[~out], fraction), torch.zeros(3), torch.zeros(3, 3), weight)
             errors.append(directions[out] - trained._regress(points[out]))
         error = torch.cat(errors) if errors else torch.zeros(1, 3)
         bias = error.mean(0)
         factor = covariance_factor(error - bias, max(len(error) - 1, 1))
-        return cls(points, directions, _widths(points, fraction), bias, factor, size)
+        return cls(points, directions, _widths(points, fraction), bias, factor, weight)
 
-    def _regress(self, points: Tensor) -> Tensor:
-        squared = (2 - 2 * points @ self.prototypes.T).clamp_min(0)  # unit vectors
+    def _regress(self, points: Tensor, visible: Tensor | None = None) -> Tensor:
+        """Kernel regression (4.4) for thumbnails ``(M, D)``; ``visible (M, D)`` weighs their pixels."""
+        if visible is None:
+            similarity = points @ self.prototypes.T
+        else:
+            length = (points.square() * visible).sum(-1, keepdim=True).sqrt() * (visible @ self.prototypes.square().T).sqrt()
+            similarity = (points * visible) @ self.prototypes.T / length.clamp_min(1e-12)
+        squared = (2 - 2 * similarity).clamp_min(0)  # between unit vectors
         mean = kernel_weights(squared, self.widths) @ self.prototype_lights
         return torch.nn.functional.normalize(mean, dim=-1)
 
-    def forward(self, images: Tensor) -> LightEstimate:
-        """Estimate the light of each of ``images (B, K, H, W)``."""
+    def forward(self, images: Tensor, mask: Tensor | None = None) -> LightEstimate:
+        """Estimate the light of each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show the face."""
         if images.dim() != 4:
             raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
-        small, energy = _thumbnails(images.flatten(0, 1), tuple(self.thumbnail.tolist()))
-        direction = torch.nn.functional.normalize(self._regress(small.to(self.prototypes)) + self.bias, dim=-1)
+        small, energy = _thumbnails(images.flatten(0, 1), self.weight)
+        visible = None
+        if mask is not None:
+            visible = torch.nn.functional.interpolate(mask[:, None].float(), size=tuple(self.weight.shape), mode="area")
+            visible = visible.flatten(1).repeat_interleave(images.shape[1], 0).to(self.prototypes)
+        direction = self._regress(small.to(self.prototypes), visible)
+        direction = torch.nn.functional.normalize(direction + self.bias, dim=-1)
         return LightEstimate((direction * (energy > 0)[:, None]).unflatten(0, images.shape[:2]).to(images))
 
-    def sample(self, images: Tensor, count: int, generator: torch.Generator | None = None, independent: bool = False) -> Tensor:
+    def sample(
+        self,
+        images: Tensor,
+        count: int,
+        generator: torch.Generator | None = None,
+        independent: bool = False,
+        mask: Tensor | None = None,
+    ) -> Tensor:
         """Draw ``count`` lights a image from ``N(estimate + bias, error covariance)``, put back on the sphere (4.3); ``(B, count, K, 3)``.
 
         Quasi-random by default; ``independent=True`` draws as the thesis does. The same ``generator`` state gives the same lights.
         """
-        direction = self(images).direction  # (B, K, 3)
-        persons, inputs = direction.shape[:2]
+        direction = self(images, mask).direction  # (B, K, 3)
+        inputs = direction.shape[1]
         noise = quasi_normal(count, 3 * inputs, generator, independent).reshape(count, inputs, 3).to(direction)
         drawn = direction[:, None] + noise @ self.error_factor.T.to(direction)
         drawn = torch.nn.functional.normalize(drawn, dim=-1)
         return drawn * (direction[:, None].square().sum(-1, keepdim=True) > 0)
 
 
-def _thumbnails(images: Tensor, size: tuple[int, ...]) -> tuple[Tensor, Tensor]:
-    """Images ``(M, H, W)`` shrunk and normalised to unit length ``(M, D)``, and their length before."""
-    small = torch.nn.functional.interpolate(images[:, None].float(), size=size, mode="area").flatten(1)
+def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int = 300) -> Tensor:
+    """How much each of J lights contributes to a photo, for photos that no single lamp made: non-negative least squares.
+
+    Light adds up, so a photo under any distant lights is about a non-negative mixture of the average face's images under single lights.
+
+    Args:
+        mean_images: ``(J, H, W)`` of the average face under each light.
+        image: ``(H, W)`` radiance.
+        mask: ``(H, W)``, 0 where the image does not show the face.
+        steps: multiplicative updates (Lee and Seung 2000), each of which lowers the error.
+
+    Returns:
+        ``(J,)`` non-negative amounts; all zero for a black image.
+    """
+    basis, weight = mean_images.clamp_min(0).flatten(1).double(), mask.flatten().double()
+    gram = (basis * weight) @ basis.T
+    target = (basis * weight) @ image.flatten().clamp_min(0).double()
+    amounts = torch.full_like(target, 1.0) * target.sum() / gram.sum().clamp_min(1e-30)
+    for _ in range(steps):
+        amounts = amounts * target / (gram @ amounts).clamp_min(1e-30)
+    return amounts.to(image)
+
+
+def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """Images ``(M, H, W)`` shrunk, weighted and normalised to unit length ``(M, D)``, and their length before."""
+    small = torch.nn.functional.interpolate(images[:, None].float(), size=tuple(weight.shape), mode="area")
+    small = (small * weight.to(images.device).float().sqrt()).flatten(1)
     energy = torch.linalg.vector_norm(small, dim=-1)
     energy = torch.where(energy > 1e-6 * small.shape[1] ** 0.5, energy, torch.zeros_like(energy))
     return small / energy.clamp_min(1e-12)[:, None], energy

@@ -41,14 +41,18 @@ class PersonPosterior:
         images: ``(K, H, W)``.
         hypotheses: ``(M, K, 3)`` input lights; a zero light takes its image out of the evidence.
         covariance: "pixel" or "face".
+        mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face code.
     """
 
-    def __init__(self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str) -> None:
+    def __init__(
+        self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str, mask: Tensor | None = None
+    ) -> None:
         self.statistics = statistics
         self.face = statistics.face if covariance == "face" else None
         pixel = statistics.pixel if self.face is None else self.face.residual
         assert pixel is not None  # noqa: S101 - for the type checker; the relighter has checked it
         self.pixel = pixel
+        self.visible = None if mask is None else mask.flatten().double()
         observed = images.flatten(1)
         self.n_map = statistics.n_mean.flatten(1).clone()
         self.v_map = statistics.v_mean.flatten(1).clone()
@@ -67,16 +71,16 @@ class PersonPosterior:
         covariance = image_covariance(statistics, pixel, terms, terms)
         cholesky = gaussian.safe_cholesky(covariance)  # (P, K, K)
         residual = (observed - prior_mean(statistics, lights)).double().T[..., None]  # (P, K, 1)
-        whitened = torch.linalg.solve_triangular(cholesky, residual, upper=False)
+        whitened = gaussian.solve_lower(cholesky, residual)
         inputs = None
         if self.face is not None:
             loadings = loadings_at(statistics, self.face, lights)  # (K, k, P)
-            inputs = torch.linalg.solve_triangular(cholesky, loadings.double().permute(2, 0, 1), upper=False)  # (P, K, k)
-            code, spread = _face_code(inputs, whitened, float(self.face.temper))
+            inputs = gaussian.solve_lower(cholesky, loadings.permute(2, 0, 1).double())  # (P, K, k)
+            code, spread = _face_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
             self._explain(code[:, 0].to(observed), share)
-        solved = torch.linalg.solve_triangular(cholesky.mT, whitened, upper=True)[..., 0].T.to(observed)  # g, (K, P)
+        solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T.to(observed)  # g, (K, P)
         self.evidence.append(_Evidence(terms, solved, cholesky, inputs))
         # n_MAP and b of DESIGN 4.3, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)
@@ -126,7 +130,7 @@ class PersonPosterior:
         first, second = torch.zeros_like(within), torch.zeros_like(within)
         for index, evidence in enumerate(self.evidence):
             cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms).double()  # (P, K, 1)
-            whitened = torch.linalg.solve_triangular(evidence.cholesky, cross, upper=False)
+            whitened = gaussian.solve_lower(evidence.cholesky, cross)
             variance = prior[:, 0] - whitened.square().sum((1, 2))
             shift = (cross[..., 0] * evidence.solved.double().T).sum(-1)
             if outputs is not None and evidence.inputs is not None:
@@ -143,8 +147,10 @@ class PersonPosterior:
         return total[None].to(target)
 
 
-def _face_code(inputs: Tensor, whitened: Tensor, temper: float) -> tuple[Tensor, Tensor]:
+def _face_code(inputs: Tensor, whitened: Tensor, temper: float, visible: Tensor | None) -> tuple[Tensor, Tensor]:
     """Posterior mean ``(k, 1)`` of the whole-face code and a factor ``(k, k)`` of its covariance, the likelihood tempered (DESIGN 4.7)."""
+    if visible is not None:
+        inputs, whitened = inputs * visible[:, None, None].sqrt(), whitened * visible[:, None, None].sqrt()
     design = inputs.flatten(0, 1)  # (P K, k)
     precision = torch.eye(design.shape[1], dtype=design.dtype, device=design.device) + design.T @ design / temper
     factor = gaussian.safe_cholesky(precision)

@@ -53,6 +53,7 @@ class StatisticalRelighter(nn.Module):
         estimator: KernelIlluminationEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
+        mask: Tensor | None = None,
     ) -> Posterior:
         """The expensive half, once: what is known of each person after seeing the images.
 
@@ -63,6 +64,7 @@ class StatisticalRelighter(nn.Module):
             estimator: finds unknown lights; default: the module's own.
             draws: samples of each unknown light (Algorithm 2).
             generator: makes the samples another set; by default they are the same at every call.
+            mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity. None: everywhere.
 
         Raises:
             ValueError: shapes or values out of range.
@@ -86,11 +88,11 @@ class StatisticalRelighter(nn.Module):
                 raise RuntimeError("source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`")
             if draws < 1:
                 raise ValueError(f"draws: expected at least 1, got {draws}")
-            drawn = finder.sample(images, draws, generator)
+            drawn = finder.sample(images, draws, generator, mask=mask)
             hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses)
         people = [
-            PersonPosterior(self.statistics, person, tried, self.covariance)
-            for person, tried in zip(images, hypotheses, strict=True)
+            PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
+            for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
         ]
         return Posterior(people, self.statistics.size)
 

@@ -137,7 +137,7 @@ class FaceStatistics(nn.Module):
     def __init__(self, lights: Tensor, options: FitOptions | None = None, store: ImageStore | None = None) -> None:
         super().__init__()
         self.options = options or FitOptions()
-        self.store: ImageStore | None = store or ImageStore()
+        self.store: ImageStore | None = ImageStore() if store is None else store
         self.metadata: dict[str, object] = {}
         distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:

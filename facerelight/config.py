@@ -1,0 +1,93 @@
+"""What a training run is: heads, lights, crop, paint and how to fit; read from YAML and from command-line flags alike."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from platformdirs import user_cache_path
+from torch import Tensor
+
+from facerelight.alignment import CropFrame
+from facerelight.lights import even_hemisphere, merge_repeats, thesis_grid
+from facerelight.statistics import FORMAT_VERSION, FitOptions
+
+__all__ = ["DEFAULT_CONFIG", "TrainConfig", "default_statistics_folder"]
+
+
+@dataclass(frozen=True)
+class DomainConfig:
+    """Settings of the rendered world; see :class:`facerelight.bootstrap.skin.Domain`, whose defaults these are."""
+
+    tone_low: float = 0.25
+    tone_high: float = 0.8
+    texture: float = 0.08
+    specular: float = 0.03
+    shininess: float = 12.0
+    fill: float = 0.05
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run.
+
+    Args:
+        heads: how many people to render.
+        source: "makehuman" (packed with the package), a folder of meshes, or the path of ``ict_heads.npz``.
+        lights: "paper" (the thesis's 10 x 10 angles and the frontal light) or how many lights, spread evenly over the hemisphere.
+        height, width, margin: the crop; margin is a fraction of the canonical crop added on every side.
+        supersample: rendered samples a pixel along each side.
+        seed: of the heads and their paint.
+        effects: "auto" simulates what each scene calls for, "all" everything; the images are the same.
+        domain: the rendered world.
+        fit: how statistics are learned.
+    """
+
+    heads: int = 80
+    source: str = "makehuman"
+    lights: int | Literal["paper"] = 64
+    height: int = 128
+    width: int = 112
+    margin: float = 0.25
+    supersample: int = 1
+    seed: int = 0
+    effects: Literal["auto", "all"] = "auto"
+    domain: DomainConfig = field(default_factory=DomainConfig)
+    fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40))
+
+    def __post_init__(self) -> None:
+        if self.heads < 2:
+            raise ValueError(f"heads: expected at least 2, got {self.heads}")
+        if self.lights != "paper" and int(self.lights) < 4:
+            raise ValueError(f"lights: expected 'paper' or at least 4, got {self.lights}")
+
+    @property
+    def frame(self) -> CropFrame:
+        """The crop that is rendered and relit."""
+        return CropFrame(self.height, self.width, self.margin)
+
+    def directions(self) -> Tensor:
+        """Distinct bootstrap lights, ``(J, 3)``."""
+        lights = thesis_grid() if self.lights == "paper" else even_hemisphere(int(self.lights))
+        return merge_repeats(lights)[0]
+
+    def key(self) -> str:
+        """A short name that changes whenever the statistics would."""
+        text = json.dumps([FORMAT_VERSION, asdict(self)], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+DEFAULT_CONFIG = TrainConfig()
+
+
+def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path:
+    """Where the statistics of ``config`` are cached: ``cache``, else the user's cache folder (``FACERELIGHT_CACHE`` overrides it)."""
+    import os
+
+    base = cache or os.environ.get("FACERELIGHT_CACHE") or user_cache_path("facerelight")
+    return Path(base) / "statistics" / config.key()
+
+

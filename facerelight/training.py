@@ -1,0 +1,127 @@
+"""Learn statistics from a rendered bootstrap: the loop that ``facerelight train`` and ``scripts/train_statistics.py`` share."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+from torch.utils.data import DataLoader, Subset
+from tqdm import tqdm
+
+from facerelight.config import TrainConfig
+from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.relighter import StatisticalRelighter
+from facerelight.statistics import FaceStatistics
+from facerelight.store import ImageStore
+
+__all__ = ["make_dataset", "train"]
+
+
+def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # imports OpenGL only when called
+    """The :class:`~facerelight.bootstrap.generate.BootstrapDataset` of a config."""
+    from facerelight.bootstrap.generate import BootstrapDataset
+    from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads, MeshFolder
+    from facerelight.bootstrap.skin import Domain
+
+    source: HeadSource
+    if config.source == "makehuman":
+        source = MakeHumanHeads(config.seed)
+    elif Path(config.source).is_dir():
+        source = MeshFolder(config.source)
+        if len(source) < config.heads:
+            raise ValueError(f"heads: expected at most the {len(source)} meshes in {config.source}, got {config.heads}")
+    elif config.source.endswith(".npz"):
+        source = IctHeads(config.source, config.seed)
+    else:
+        raise ValueError(f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}")
+    domain = Domain(**asdict(config.domain))
+    return BootstrapDataset(
+        source, config.heads, config.directions(), config.frame, domain, config.seed, config.effects, config.supersample
+    )
+
+
+def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False) -> dict[str, object]:
+    """Render the bootstrap, learn the statistics and the light estimator, and save them into ``folder``.
+
+    A run that was interrupted goes on from the last finished head: each head's images are a file in ``folder/images`` until the end.
+
+    Args:
+        config: what to learn.
+        folder: where ``statistics.safetensors``, ``estimator.safetensors`` and ``report.json`` go.
+        workers: processes that render; 0 renders in this one.
+        keep_images: leave the rendered images where they are.
+
+    Returns:
+        The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
+    """
+    folder = Path(folder)
+    _start_images(folder, config)
+    started = time.perf_counter()
+    dataset = make_dataset(config)
+    statistics = FaceStatistics(config.directions(), config.fit, ImageStore(folder / "images"))
+    assert statistics.store is not None  # noqa: S101 - just given
+    todo = [index for index in range(config.heads) if index not in statistics.store]
+    loader = DataLoader(
+        Subset(dataset, todo),
+        batch_size=None,
+        num_workers=min(workers, len(todo)),
+        collate_fn=_as_is,
+        worker_init_fn=_one_thread,
+        multiprocessing_context="spawn" if workers and todo else None,
+    )
+    work: Counter[str] = Counter()
+    for subject, images, done in tqdm(loader, desc="rendering heads", disable=not sys.stderr.isatty()):
+        statistics.update(images, subject=int(subject))
+        work.update(done)
+    dataset.close()
+    rendered = time.perf_counter()
+    print(f"solving statistics of {config.heads} heads", file=sys.stderr)
+    statistics.solve()
+    images = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()[:60]])
+    inside = ((1 - config.frame.oval()) / 0.1).clamp(0, 1)
+    estimator = KernelIlluminationEstimator.fit(images, statistics.lights, weight=inside)
+    statistics.metadata = {"config": asdict(config), "source": f"rendered heads ({config.source})", "radiance": "linear"}
+    StatisticalRelighter(statistics, estimator=estimator).save_pretrained(folder)
+    if not keep_images:
+        shutil.rmtree(folder / "images")
+    report: dict[str, object] = {
+        **statistics.describe(),
+        "heads": config.heads,
+        "render_seconds": round(rendered - started, 1),
+        "solve_seconds": round(time.perf_counter() - rendered, 1),
+        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
+        "worker_peak_memory_mb": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024),
+        "work": dict(sorted(work.items())),
+    }
+    (folder / "report.json").write_text(json.dumps(report, indent=2))
+    return report
+
+
+def _start_images(folder: Path, config: TrainConfig) -> None:
+    """Make sure that images left by an earlier run belong to the same config."""
+    folder.mkdir(parents=True, exist_ok=True)
+    marker = folder / "config.json"
+    text = json.dumps(asdict(config), indent=2, sort_keys=True)
+    if marker.exists() and marker.read_text() != text:
+        raise ValueError(f"{folder}: holds a run of another config; choose another folder or remove it")
+    marker.write_text(text)
+
+
+def _one_thread(_: int) -> None:
+    """Workers share the cores among themselves: one thread each, for torch and for the software renderer."""
+    torch.set_num_threads(1)
+    os.environ["LP_NUM_THREADS"] = "1"
+
+
+def _as_is(item: object) -> object:
+    return item
+
+
