@@ -33,6 +33,7 @@ from facerelight.subjects import (
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 
 FORMAT_VERSION = 1
+GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class FitOptions:
     rank: int = 12
     face_rank: int = 0
     basis: int = 24
-    temper: float = 30.0
+    temper: float = 100.0
     kernel_width: float | None = None
     nugget_width: float = 0.35
     floor: float = 2e-3
@@ -274,7 +275,8 @@ class FaceStatistics(nn.Module):
         factor = self.options.kernel_width
         if factor is None:
             candidates = [0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 1.0]
-            factor = min(candidates, key=lambda c: interpolation_error(grams.deviation, distance, c * spacing))
+            best = min(candidates, key=lambda c: interpolation_error(grams.deviation, distance, c * spacing))
+            factor = GAP_SHRINK * best
         self.light_widths = (factor * spacing).float()
         self.nugget_width = (self.options.nugget_width * spacing.median()).float()
 
