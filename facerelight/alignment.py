@@ -126,13 +126,9 @@ def warp_to_crop(image: Tensor, matrix: Tensor, frame: CropFrame) -> Tensor:
         image = torch.nn.functional.avg_pool2d(image, factor, ceil_mode=False)
         centre = (factor - 1) / 2
         matrix = torch.cat((matrix[..., :2] * factor, matrix[..., 2:] + matrix[..., :2].sum(-1, keepdim=True) * centre), -1)
-    return kt.warp_affine(
-        image, matrix.to(image), (frame.height, frame.width), mode="bilinear", padding_mode="border", align_corners=True
-    )
+    return kt.warp_affine(image, matrix.to(image), (frame.height, frame.width), mode="bilinear", padding_mode="border", align_corners=True)
 
 
 def warp_from_crop(crop: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:
     """The way back: ``crop`` ``(B, C, h, w)`` resampled to an image of ``size`` (H, W); zero outside the crop."""
-    return kt.warp_affine(
-        crop, invert_similarity(matrix.double()).to(crop), size, mode="bilinear", padding_mode="zeros", align_corners=True
-    )
+    return kt.warp_affine(crop, invert_similarity(matrix.double()).to(crop), size, mode="bilinear", padding_mode="zeros", align_corners=True)

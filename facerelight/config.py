@@ -89,5 +89,3 @@ def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str |
 
     base = cache or os.environ.get("FACERELIGHT_CACHE") or user_cache_path("facerelight")
     return Path(base) / "statistics" / config.key()
-
-

@@ -71,9 +71,7 @@ def safe_cholesky(matrix: Tensor) -> Tensor:
         nudged = matrix + (jitter * scale * failed)[..., None, None] * eye
         factor, info = torch.linalg.cholesky_ex(nudged)
         if not info.any():
-            warnings.warn(
-                f"{count} of {failed.numel()} covariances needed a relative jitter of {jitter:g}", NumericalWarning, stacklevel=2
-            )
+            warnings.warn(f"{count} of {failed.numel()} covariances needed a relative jitter of {jitter:g}", NumericalWarning, stacklevel=2)
             return factor
     raise NotPositiveDefiniteError(
         f"covariance: expected positive semidefinite, {int((info != 0).sum())} of {failed.numel()} matrices are not,"
@@ -96,9 +94,7 @@ def positive_variance(variance: Tensor) -> Tensor:
     return variance.clamp_min(0)
 
 
-def condition_gaussian(
-    mean_x: Tensor, mean_y: Tensor, cov_xx: Tensor, cov_xy: Tensor, cov_yy: Tensor, y: Tensor
-) -> Conditional:
+def condition_gaussian(mean_x: Tensor, mean_y: Tensor, cov_xx: Tensor, cov_xy: Tensor, cov_yy: Tensor, y: Tensor) -> Conditional:
     """The Gauss-Markov theorem (eqs. 3.7, 3.8): ``p(x | y)`` of jointly Gaussian x and y.
 
     Args:

@@ -54,9 +54,7 @@ class KernelIlluminationEstimator(nn.Module):
     error_factor: Tensor
     weight: Tensor
 
-    def __init__(
-        self, prototypes: Tensor, prototype_lights: Tensor, widths: Tensor, bias: Tensor, error_factor: Tensor, weight: Tensor
-    ) -> None:
+    def __init__(self, prototypes: Tensor, prototype_lights: Tensor, widths: Tensor, bias: Tensor, error_factor: Tensor, weight: Tensor) -> None:
         super().__init__()
         for name, tensor in (
             ("prototypes", prototypes),

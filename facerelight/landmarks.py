@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -79,7 +80,7 @@ def _haar(image: np.ndarray) -> np.ndarray:
     raise LandmarksNotFoundError(_hint("a face, but not both of its eyes"))
 
 
-def _features(grey: np.ndarray, face: np.ndarray) -> np.ndarray | None:
+def _features(grey: np.ndarray, face: Sequence[int]) -> np.ndarray | None:
     """Eyes and mouth inside a face box ``(x, y, side, side)``, or None where it has not two eyes where eyes should be."""
     x, y, side, _ = (int(v) for v in face)
     size = (side // 8, side // 8), (side // 3, side // 3)
@@ -106,13 +107,13 @@ def _features(grey: np.ndarray, face: np.ndarray) -> np.ndarray | None:
     low = grey[max(y0, 0) : y0 + int(0.6 * side), max(x0, 0) : x1]
     mouths = _cascade("haarcascade_smile.xml").detectMultiScale(low, 1.05, 8, minSize=(side // 5, side // 10)) if low.size else ()
     centres = [np.array((max(x0, 0) + mx + mw / 2, max(y0, 0) + my_ + mh / 2)) for mx, my_, mw, mh in mouths]
-    near = [c for c in centres if np.hypot(*(c - guess)) < 0.15 * side]
-    mouth = guess if not near else (guess + 2 * np.median(near, axis=0)) / 3
+    close = [c for c in centres if np.hypot(*(c - guess)) < 0.15 * side]
+    mouth = guess if not close else (guess + 2 * np.median(close, axis=0)) / 3
     return np.stack((left, right, mouth))
 
 
 def _cascade(name: str) -> cv2.CascadeClassifier:
-    return cv2.CascadeClassifier(str(Path(cv2.data.haarcascades) / name))
+    return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / name))
 
 
 def _hint(found: str) -> str:

@@ -39,20 +39,18 @@ def light_from_angles(azimuth: Tensor | float, elevation: Tensor | float) -> Ten
         ValueError: an angle is not finite, or an elevation lies outside [-90, 90].
 
     Example:
-        >>> light_from_angles(90.0, 0.0).round(decimals=3).tolist()
-        [-1.0, 0.0, 0.0]
+        >>> light_from_angles(30.0, 0.0)
+        tensor([-0.5000,  0.0000,  0.8660])
     """
-    azimuth = torch.as_tensor(azimuth, dtype=None if isinstance(azimuth, Tensor) else torch.float32)
-    elevation = torch.as_tensor(elevation, dtype=None if isinstance(elevation, Tensor) else torch.float32)
-    if not (torch.isfinite(azimuth).all() and torch.isfinite(elevation).all()):
+    turn = azimuth if isinstance(azimuth, Tensor) else torch.tensor(azimuth, dtype=torch.float32)
+    rise = elevation if isinstance(elevation, Tensor) else torch.tensor(elevation, dtype=torch.float32)
+    if not (torch.isfinite(turn).all() and torch.isfinite(rise).all()):
         raise ValueError("light angles: expected finite degrees, got NaN or infinity")
-    if (elevation.abs() > 90).any():
-        raise ValueError(f"elevation: expected degrees in [-90, 90], got {float(elevation.abs().max()):g} in magnitude")
-    azimuth, elevation = torch.broadcast_tensors(torch.deg2rad(azimuth), torch.deg2rad(elevation))
-    horizontal = torch.cos(elevation)
-    return torch.stack(
-        (-horizontal * torch.sin(azimuth), torch.sin(elevation), horizontal * torch.cos(azimuth)), dim=-1
-    )
+    if (rise.abs() > 90).any():
+        raise ValueError(f"elevation: expected degrees in [-90, 90], got {float(rise.abs().max()):g} in magnitude")
+    turn, rise = torch.broadcast_tensors(torch.deg2rad(turn), torch.deg2rad(rise))
+    horizontal = torch.cos(rise)
+    return torch.stack((-horizontal * torch.sin(turn), torch.sin(rise), horizontal * torch.cos(turn)), dim=-1)
 
 
 def angles_from_light(light: Tensor) -> tuple[Tensor, Tensor]:

@@ -219,5 +219,3 @@ def _face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
     guide = brightness.clamp(0, 1).sqrt()
     smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
     return (smooth * oval).float()
-
-

@@ -44,13 +44,11 @@ class PersonPosterior:
         mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face code.
     """
 
-    def __init__(
-        self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str, mask: Tensor | None = None
-    ) -> None:
+    def __init__(self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str, mask: Tensor | None = None) -> None:
         self.statistics = statistics
         self.face = statistics.face if covariance == "face" else None
         pixel = statistics.pixel if self.face is None else self.face.residual
-        assert pixel is not None  # noqa: S101 - for the type checker; the relighter has checked it
+        assert pixel is not None
         self.pixel = pixel
         self.visible = None if mask is None else mask.flatten().double()
         observed = images.flatten(1)
@@ -93,7 +91,7 @@ class PersonPosterior:
     def _explain(self, code: Tensor, share: float) -> None:
         """Move the mean maps by what the whole-face code says."""
         face = self.face
-        assert face is not None  # noqa: S101
+        assert face is not None
         self.n_map += share * torch.tensordot(code, face.n.flatten(2), 1)
         self.v_map += share * (face.basis.T @ torch.tensordot(code, face.v.flatten(2), 1))
 
@@ -184,9 +182,7 @@ class Posterior:
         if first.face is None:
             raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
         zero = torch.zeros(len(first.face.n))
-        return torch.stack(
-            [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
-        )
+        return torch.stack([torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people])
 
     def _render(self, what: str, target_lights: Tensor) -> Tensor:
         reference = self.people[0].n_map

@@ -24,8 +24,8 @@ from facerelight.subjects import (
     FaceOperators,
     Grams,
     face_operators,
-    fill_operators,
     fill_missing,
+    fill_operators,
     gather_grams,
     interpolation_error,
 )
@@ -193,7 +193,7 @@ class FaceStatistics(nn.Module):
         if not torch.isfinite(images[kept]).all():
             raise ValueError("images: expected finite radiance, got NaN or infinity; mark missing images in `valid`")
         if images[kept].numel() and float(images[kept].abs().max()) > 20:
-            raise ValueError(f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images[kept].max()):g}; divide by 255?")
+            raise ValueError(f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g}; divide by 255?")
         merged = torch.full((len(self.lights), *images.shape[1:]), float("nan"))
         for light in range(len(self.lights)):
             same = kept & (self._light_index == light)
@@ -244,9 +244,7 @@ class FaceStatistics(nn.Module):
             )
         return self
 
-    def _learn_block(
-        self, images: Tensor, fill: dict[int, Tensor], operators: FaceOperators | None, basis: Tensor
-    ) -> dict[str, Tensor]:
+    def _learn_block(self, images: Tensor, fill: dict[int, Tensor], operators: FaceOperators | None, basis: Tensor) -> dict[str, Tensor]:
         """Every statistic of one block of pixels, from ``images (N, J, P)`` (4.2, 4.3)."""
         images = fill_missing(images, fill)
         solver = torch.linalg.pinv(self.lights.double()).float()  # (3, J)
@@ -328,7 +326,7 @@ class FaceStatistics(nn.Module):
             raise ValueError(f"{path}: expected a statistics file (safetensors), got {error}; train one with `facerelight train`") from error
         if header.get("format") != "facerelight-statistics" or header.get("version") != FORMAT_VERSION:
             raise ValueError(
-                f"{path}: expected facerelight-statistics version {FORMAT_VERSION}, got {header.get('format')} {header.get('version')}; train anew"
+                f"{path}: expected statistics of version {FORMAT_VERSION}, got {header.get('format')} {header.get('version')}; train anew"
             )
         try:
             statistics = cls(tensors["lights"], FitOptions(**header["options"]))

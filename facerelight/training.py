@@ -43,9 +43,7 @@ def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # import
     else:
         raise ValueError(f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}")
     domain = Domain(**asdict(config.domain))
-    return BootstrapDataset(
-        source, config.heads, config.directions(), config.frame, domain, config.seed, config.effects, config.supersample
-    )
+    return BootstrapDataset(source, config.heads, config.directions(), config.frame, domain, config.seed, config.effects, config.supersample)
 
 
 def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False) -> dict[str, object]:
@@ -67,7 +65,7 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
     started = time.perf_counter()
     dataset = make_dataset(config)
     statistics = FaceStatistics(config.directions(), config.fit, ImageStore(folder / "images"))
-    assert statistics.store is not None  # noqa: S101 - just given
+    assert statistics.store is not None
     todo = [index for index in range(config.heads) if index not in statistics.store]
     loader = DataLoader(
         Subset(dataset, todo),
@@ -123,5 +121,3 @@ def _one_thread(_: int) -> None:
 
 def _as_is(item: object) -> object:
     return item
-
-

@@ -96,7 +96,7 @@ def main() -> None:
                 opposites = category.get("opposites", {})
                 negative, positive = opposites.get(f"negative-{side}"), opposites.get(f"positive-{side}")
                 if negative and positive and not ("angle-in" in negative and part == "head") and "trans-in" not in negative:
-                    stem = f"{part}/{category['name'] if 'name' in category else positive}@{side}"
+                    stem = f"{part}/{category.get('name', positive)}@{side}"
                     add(f"local/{stem}/-", targets / f"{part}/{negative}.target.gz")
                     add(f"local/{stem}/+", targets / f"{part}/{positive}.target.gz")
     for path in sorted((targets / "asym").glob("*.target.gz")):

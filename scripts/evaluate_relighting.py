@@ -1,6 +1,6 @@
 """Measure relighting on Extended Yale B: protocols yale-relight and yale-relight-newlights.
 
-    python scripts/evaluate_relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --folds 4 --json out.json
+python scripts/evaluate_relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --folds 4 --json out.json
 """
 
 import argparse
@@ -63,9 +63,7 @@ def main() -> int:
         return statistics
 
     models = ["pixel", "face"] if args.covariance == "face" else ["pixel"]
-    scores, light_error = evaluate_folds(
-        faces, args.folds, make, models, args.protocol.endswith("newlights"), args.source_light == "estimated"
-    )
+    scores, light_error = evaluate_folds(faces, args.folds, make, models, args.protocol.endswith("newlights"), args.source_light == "estimated")
     report = {
         "protocol": args.protocol,
         "covariance": args.covariance,

@@ -119,6 +119,4 @@ def _index(images: Tensor, subjects: np.ndarray, angles: np.ndarray, subset: Ten
     table, light = np.unique(angles, axis=0, return_inverse=True)  # sorted by azimuth, then elevation
     degrees = torch.from_numpy(table).float()
     lights = light_from_angles(degrees[:, 0], degrees[:, 1])
-    return FaceImages(
-        images, torch.from_numpy(subject), torch.from_numpy(light.reshape(-1)), lights, degrees, subset, [str(p) for p in people]
-    )
+    return FaceImages(images, torch.from_numpy(subject), torch.from_numpy(light.reshape(-1)), lights, degrees, subset, [str(p) for p in people])

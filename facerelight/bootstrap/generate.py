@@ -85,7 +85,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
         if not 0 <= index < self.count:
             raise IndexError(f"head {index} of {self.count}")
         surface, material = self.surface(index)
-        assert self._renderer is not None  # noqa: S101 - opened by surface()
+        assert self._renderer is not None
         work: Counter[str] = Counter(geometry=1)
         images = []
         for light in self.lights:

@@ -17,7 +17,7 @@ import numpy as np
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 if not hasattr(np, "infty"):  # pyrender 0.1.45 predates NumPy 2
-    np.infty = np.inf  # type: ignore[attr-defined]
+    np.inf = np.inf  # type: ignore[attr-defined]
 
 try:
     import pyrender
@@ -95,6 +95,7 @@ class _FloatRenderer(Renderer):
         super().__init__(width, height)
         self._program_cache = _OneProgram(fragment)
         self.targets, self.channels = targets, channels
+        self._main_fb: int | None = None
         self.window: tuple[int, int, int, int] | None = None  # left, top, width, height: the part that is drawn and read
 
     def _configure_main_framebuffer(self) -> None:

@@ -87,7 +87,7 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     row = ((1 - position[:, 1] / renderer.extent) * RELIEF_SIZE / 2).long() - relief.corner[0]
     rows, columns = relief.highest.shape
     cell = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
-    return Surface(position, normal, albedo, pixel, tuple(inside.shape), relief, cell)
+    return Surface(position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), relief, cell)
 
 
 def _map_relief(renderer: MeshRenderer, head: Head) -> Relief:

@@ -1,0 +1,49 @@
+"""Shared fixtures: a small synthetic world without OpenGL, and the real data where a path to it is given."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+from facerelight.lights import even_hemisphere
+from facerelight.statistics import FaceStatistics
+
+SIZE = (24, 21)
+
+
+def shaded_people(count: int, lights: torch.Tensor, seed: int) -> torch.Tensor:
+    """Bumpy Lambertian people with attached shadows: ``(count, J, 24, 21)``, smooth over pixels, varied over people."""
+    generator = torch.Generator().manual_seed(seed)
+    y, x = torch.meshgrid(torch.linspace(1, -1, SIZE[0]), torch.linspace(-1, 1, SIZE[1]), indexing="ij")
+    waves = torch.stack([torch.sin(a * x + b * y) for a, b in ((1, 2), (3, 1), (2, 4), (4, 3))])
+    bumps = torch.einsum("nk,kyx->nyx", torch.randn(count, 4, generator=generator) * 0.15, waves)
+    height = 0.8 * (1 - 0.5 * x**2 - 0.4 * y**2) + bumps * 0.4
+    slope_y, slope_x = torch.gradient(height, dim=(1, 2))
+    normal = torch.stack((-slope_x * 10, slope_y * 12, torch.ones_like(height)), 1)
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    albedo = 0.5 + 0.1 * torch.randn(count, 1, 1, generator=generator) + 0.3 * bumps
+    return torch.einsum("ncyx,jc->njyx", normal, lights).clamp_min(0) * albedo[:, None] + 0.02
+
+
+@pytest.fixture(scope="session")
+def lights() -> torch.Tensor:
+    return even_hemisphere(30)
+
+
+@pytest.fixture(scope="session")
+def people(lights: torch.Tensor) -> torch.Tensor:
+    return shaded_people(16, lights, 0)
+
+
+@pytest.fixture(scope="session")
+def statistics(people: torch.Tensor, lights: torch.Tensor) -> FaceStatistics:
+    return FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, temper=10.0, basis=12)
+
+
+@pytest.fixture(scope="session")
+def yale_path() -> Path:
+    path = Path(os.environ.get("FACERELIGHT_YALE", "../shared/data/yaleb_192x168.npz"))
+    if not path.exists():
+        pytest.skip(f"Extended Yale B is not here ({path}); set FACERELIGHT_YALE to its path")
+    return path
