@@ -22,8 +22,8 @@ from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
-DARK = 0.02  # linear radiance below which a ratio would only amplify noise
-LARGEST_RATIO = 6.0
+DARK = 0.05  # linear radiance below which a ratio would only amplify noise
+LARGEST_RATIO = 4.0
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
@@ -203,7 +203,7 @@ def _face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
         frame: the crop.
     """
     radius, eyes = frame.oval(), frame.landmarks[:2]
-    oval = ((1 - radius) / 0.12).clamp(0, 1)
+    around = ((1.25 - radius) / 0.25).clamp(0, 1)  # jaw, ears and neck, where they look like skin
     y = torch.arange(frame.height)[:, None]
     core = (radius < 0.7) & ((y - eyes[0, 1]).abs() > 0.3 * (eyes[1, 0] - eyes[0, 0]))  # without the eyes
     brightness = crop.sum(0).clamp_min(1e-4)
@@ -215,7 +215,7 @@ def _face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
     distance = ((features - centre[:, None, None]) / spread[:, None, None]).clamp(-6, 6).square().sum(0).sqrt()
     skin = (1 - (distance - 3) / 2).clamp(0, 1)
     inner = ((0.72 - radius) / 0.15).clamp(0, 1).float()  # brows, eyes, lips and shadows inside belong to the face
-    mask = oval * torch.maximum(skin, inner)
+    mask = torch.maximum(around * skin, inner)
     guide = brightness.clamp(0, 1).sqrt()
     smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
-    return (smooth * oval).float()
+    return (smooth * around).float()

@@ -17,7 +17,7 @@ import numpy as np
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 if not hasattr(np, "infty"):  # pyrender 0.1.45 predates NumPy 2
-    np.inf = np.inf  # type: ignore[attr-defined]
+    vars(np)["infty"] = np.inf
 
 try:
     import pyrender

@@ -1,0 +1,5 @@
+#!/usr/bin/env bash
+# Set up a virtual environment, then run the linters and every test.
+source "$(dirname "$0")/setup_env.sh" test
+.venv/bin/ruff check . && .venv/bin/ruff format --check -q . && .venv/bin/mypy
+exec .venv/bin/python -m pytest "$@"
