@@ -1,6 +1,6 @@
 """Make the pictures of the README: a relit public-domain photo, and what the light angles mean on a rendered head.
 
-    python scripts/make_readme_images.py --photo astronaut.png --output .github/images
+python scripts/make_readme_images.py --photo astronaut.png --output .github/images
 """
 
 import argparse

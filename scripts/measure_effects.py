@@ -1,6 +1,6 @@
 """What simulating only the effects a scene calls for saves: work run and skipped, and time against the full simulation.
 
-    python scripts/measure_effects.py --heads 5 --lights 40
+python scripts/measure_effects.py --heads 5 --lights 40
 """
 
 import argparse
@@ -26,9 +26,7 @@ def main() -> None:
     torch.set_num_threads(1)
     lights = even_hemisphere(args.lights)
     auto, full = (
-        BootstrapDataset(
-            MakeHumanHeads(1), args.heads, lights, DEFAULT_CONFIG.frame, effects=effects, supersample=args.supersample
-        )
+        BootstrapDataset(MakeHumanHeads(1), args.heads, lights, DEFAULT_CONFIG.frame, effects=effects, supersample=args.supersample)
         for effects in ("auto", "all")
     )
     _ = auto[0], full[0]  # open the renderers

@@ -100,7 +100,8 @@ def _map_relief(renderer: MeshRenderer, head: Head) -> Relief:
     top, bottom = (int(np.clip((1 - y / renderer.extent) * RELIEF_SIZE / 2, 1, RELIEF_SIZE - 2)) for y in (high[1], low[1]))
     left, top, right, bottom = left - 1, top - 1, right + 2, bottom + 2
     window = (left * factor, top * factor, (right - left) * factor, (bottom - top) * factor)
-    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window))
+    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())  # every other texel bounds well enough
+    factor, texel = factor // 2, 2 * texel
     pool = torch.nn.functional.max_pool2d
     solid = fine > BELOW / 10
     highest = pool(fine[None], factor)[0]
@@ -256,7 +257,7 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
     limited = not everywhere and float(light[2]) > IN_FRONT
     height = torch.from_numpy(renderer.heights(direction, (left, top, right - left, bottom - top), limited))
     cosine = (surface.normal[plan.cast] @ light).clamp(0.05, 1)
-    margin = texel * (4.0 + 2.0 * (1 - cosine**2).sqrt() / cosine)
+    margin = texel * (6.0 + 2.5 * (1 - cosine**2).sqrt() / cosine)
     taps = torch.tensor((-1.0, 0.0, 1.0))[:, None]
     columns, rows = column.round() + taps, row.round() + taps  # (3, P)
     weight = _spline(rows - row)[:, None] * _spline(columns - column)[None]
