@@ -55,12 +55,8 @@ void main() {
 }
 """
 DEPTH_SHADER = """#version 330 core
-in vec3 world; in vec3 world_normal; in vec4 feature;
-uniform mat4 V;
-layout(location = 0) out float height;
-void main() { height = (V * vec4(world, 1.0)).z + 4096.0; }
+void main() {}
 """
-EMPTY = 4096.0  # keeps heights positive, so that the cleared buffer lies below everything
 
 
 class Geometry(NamedTuple):
@@ -89,12 +85,12 @@ class _OneProgram(ShaderProgramCache):
 
 
 class _FloatRenderer(Renderer):
-    """pyrender's renderer into ``targets`` float32 color buffers."""
+    """pyrender's renderer into ``targets`` float32 RGBA buffers, or into a depth buffer alone."""
 
-    def __init__(self, width: int, height: int, fragment: str, targets: int, channels: int) -> None:
+    def __init__(self, width: int, height: int, fragment: str, targets: int) -> None:
         super().__init__(width, height)
         self._program_cache = _OneProgram(fragment)
-        self.targets, self.channels = targets, channels
+        self.targets = targets
         self._main_fb: int | None = None
         self.window: tuple[int, int, int, int] | None = None  # left, top, width, height: the part that is drawn and read
 
@@ -102,17 +98,16 @@ class _FloatRenderer(Renderer):
         size = self.viewport_width, self.viewport_height
         if self._main_fb is not None:
             return
-        storage = {1: GL.GL_R32F, 4: GL.GL_RGBA32F}[self.channels]
-        self._buffers = [int(b) for b in GL.glGenRenderbuffers(self.targets + 1)]
+        self._buffers = [int(GL.glGenRenderbuffers(1)) for _ in range(self.targets + 1)]
         self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
         attachments = [GL.GL_COLOR_ATTACHMENT0 + k for k in range(self.targets)]
-        formats = [storage] * self.targets + [GL.GL_DEPTH_COMPONENT32F]
+        formats = [GL.GL_RGBA32F] * self.targets + [GL.GL_DEPTH_COMPONENT32F]
         for buffer, attachment, kind in zip(self._buffers, [*attachments, GL.GL_DEPTH_ATTACHMENT], formats, strict=True):
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
-        GL.glDrawBuffers(self.targets, attachments)
+        GL.glDrawBuffers(max(self.targets, 1), attachments or [GL.GL_NONE])
         if GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER) != GL.GL_FRAMEBUFFER_COMPLETE:
             raise RuntimeError("rendering: this OpenGL has no float32 framebuffers; update Mesa (llvmpipe has them)")
 
@@ -135,11 +130,12 @@ class _FloatRenderer(Renderer):
         left, top, width, height = self._drawn()
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
         images = []
-        for k in range(self.targets):
-            GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + k)
-            kind = GL.GL_RED if self.channels == 1 else GL.GL_RGBA
+        for k in range(max(self.targets, 1)):
+            if self.targets:
+                GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + k)
+            kind = GL.GL_RGBA if self.targets else GL.GL_DEPTH_COMPONENT
             data = GL.glReadPixels(left, self.viewport_height - top - height, width, height, kind, GL.GL_FLOAT)
-            images.append(np.frombuffer(data, np.float32).reshape(height, width, self.channels)[::-1])
+            images.append(np.frombuffer(data, np.float32).reshape(height, width, -1)[::-1])
         return tuple(images)
 
 
@@ -160,8 +156,8 @@ class MeshRenderer:
         device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
         self._context = egl.EGLPlatform(width, height, device=device)
         self._context.init_context()
-        self._camera = _FloatRenderer(width * supersample, height * supersample, SURFACE_SHADER, 3, 4)
-        self._light = _FloatRenderer(shadow_size, shadow_size, DEPTH_SHADER, 1, 1)
+        self._camera = _FloatRenderer(width * supersample, height * supersample, SURFACE_SHADER, 3)
+        self._light = _FloatRenderer(shadow_size, shadow_size, DEPTH_SHADER, 0)
         self._view = pyrender.OrthographicCamera(width / 2, height / 2, znear=0.01, zfar=20 * extent)
         self._light_view = pyrender.OrthographicCamera(extent, extent, znear=0.01, zfar=20 * extent)
 
@@ -169,15 +165,8 @@ class MeshRenderer:
         """Take a mesh: ``feature (V, 4)`` is interpolated along with positions and normals."""
         self._camera_scene = _scene(vertices, normals, triangles, feature)
         self._camera_scene.add(self._view, pose=_look_along(np.array([0.0, 0.0, 1.0]), 10 * self.extent))
-        self._casters = self._front_casters = self._light_scene(vertices, triangles)
-
-    def limit_casters(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        """Of the loaded mesh, the ``triangles`` alone that can shade what the camera sees from lights in front of it."""
-        self._front_casters = self._light_scene(vertices, triangles)
-
-    def _light_scene(self, vertices: np.ndarray, triangles: np.ndarray) -> tuple[pyrender.Scene, pyrender.Node]:
-        scene = _scene(vertices, np.zeros_like(vertices), triangles, np.zeros((len(vertices), 4)))
-        return scene, scene.add(self._light_view)
+        self._light_scene = _scene(vertices, normals, triangles, feature)
+        self._light_node = self._light_scene.add(self._light_view)
 
     def geometry(self) -> Geometry:
         """One pass from the camera."""
@@ -189,8 +178,8 @@ class MeshRenderer:
         """The rotation ``(3, 3)`` into the frame of a light: its map's x and y, and the height along it."""
         return _look_along(light, 1.0)[:3, :3].T.astype(np.float32)
 
-    def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None, limited: bool = False) -> np.ndarray:
-        """The nearest surface seen from a light: heights along it, thousands of units below the mesh where nothing is.
+    def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None) -> np.ndarray:
+        """The nearest surface seen from a light: heights along it; where nothing is, ten extents below the origin.
 
         Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``, ``y = (1 - (i + 0.5) / S * 2) * extent`` of
         :meth:`light_frame`.
@@ -198,13 +187,12 @@ class MeshRenderer:
         Args:
             light: unit vector ``(3,)``.
             window: left, top, width and height of the part of the map that is wanted; None: all of it, ``(S, S)``.
-            limited: draw only the triangles of :meth:`limit_casters`.
         """
-        scene, node = self._front_casters if limited else self._casters
-        scene.set_pose(node, _look_along(light, 10 * self.extent))
+        self._light_scene.set_pose(self._light_node, _look_along(light, 10 * self.extent))
         self._light.window = window
-        (image,) = self._render(self._light, scene)
-        return image[..., 0] + np.float32(10 * self.extent - EMPTY)
+        (image,) = self._render(self._light, self._light_scene)
+        near, far = self._light_view.znear, self._light_view.zfar
+        return np.float32(10 * self.extent - near) - np.float32(far - near) * image[..., 0]
 
     def _render(self, renderer: _FloatRenderer, scene: pyrender.Scene) -> tuple[np.ndarray, ...]:
         self._context.make_current()

@@ -22,8 +22,8 @@ from facerelight.bootstrap.skin import Look, Material, paint
 __all__ = ["EFFECTS", "EffectPlan", "Surface", "plan_effects", "shade", "view_surface"]
 
 EFFECTS = ("attached", "cast", "specular", "ambient")
-RELIEF_SIZE = 128  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
-NEAR_CELLS = 3  # within so many cells occlusion is judged by slope, beyond by height
+RELIEF_SIZE = 64  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
+NEAR_CELLS = 2  # within so many cells occlusion is judged by slope, beyond by height
 FRESNEL = 0.04  # reflectance of skin at normal incidence
 SMALL = 1e-6  # radiance that cannot matter
 GRAZING = 0.36  # cosine
@@ -81,8 +81,6 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
     relief = _map_relief(renderer, head)
-    tops = head.vertices[head.triangles, 2].max(1)
-    renderer.limit_casters(head.vertices, head.triangles[tops > float(position[:, 2].min()) - relief.step])
     column = ((position[:, 0] / renderer.extent + 1) * RELIEF_SIZE / 2).long() - relief.corner[1]
     row = ((1 - position[:, 1] / renderer.extent) * RELIEF_SIZE / 2).long() - relief.corner[0]
     rows, columns = relief.highest.shape
@@ -103,7 +101,7 @@ def _map_relief(renderer: MeshRenderer, head: Head) -> Relief:
     fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())  # every other texel bounds well enough
     factor, texel = factor // 2, 2 * texel
     pool = torch.nn.functional.max_pool2d
-    solid = fine > BELOW / 10
+    solid = fine > -5 * renderer.extent
     highest = pool(fine[None], factor)[0]
     lowest = -pool((-fine).masked_fill(~solid, BELOW)[None], factor)[0]
     # A step down to where nothing is hides nothing from the surface beside it.
@@ -251,11 +249,9 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
     row = (1 - local[:, 1] / renderer.extent) * size / 2 - 0.5
     left, top = (int(axis.amin().clamp(2, size - 3)) - 2 for axis in (column, row))
     right, bottom = (int(axis.amax().clamp(2, size - 3)) + 3 for axis in (column, row))
-    everywhere = bool(plan.cast.all())
-    if everywhere:
+    if plan.cast.all():  # everything, everywhere
         left, top, right, bottom = 0, 0, size, size
-    limited = not everywhere and float(light[2]) > IN_FRONT
-    height = torch.from_numpy(renderer.heights(direction, (left, top, right - left, bottom - top), limited))
+    height = torch.from_numpy(renderer.heights(direction, (left, top, right - left, bottom - top)))
     cosine = (surface.normal[plan.cast] @ light).clamp(0.05, 1)
     margin = texel * (6.0 + 2.5 * (1 - cosine**2).sqrt() / cosine)
     taps = torch.tensor((-1.0, 0.0, 1.0))[:, None]
