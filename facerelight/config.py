@@ -56,7 +56,7 @@ class TrainConfig:
     seed: int = 0
     effects: Literal["auto", "all"] = "auto"
     domain: DomainConfig = field(default_factory=DomainConfig)
-    fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40))
+    fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40, brightness=True))
 
     def __post_init__(self) -> None:
         if self.heads < 2:

@@ -31,6 +31,7 @@ class _Evidence(NamedTuple):
     solved: Tensor
     cholesky: Tensor
     inputs: Tensor | None  # whitened loadings L^-1 L_y, (P, K, k)
+    gain: float  # the person's brightness
 
 
 class PersonPosterior:
@@ -52,8 +53,8 @@ class PersonPosterior:
         self.pixel = pixel
         self.visible = None if mask is None else mask.flatten().double()
         observed = images.flatten(1)
-        self.n_map = statistics.n_mean.flatten(1).clone()
-        self.v_map = statistics.v_mean.flatten(1).clone()
+        self.n_map = torch.zeros_like(statistics.n_mean.flatten(1))
+        self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
         self.codes: list[tuple[Tensor, Tensor]] = []
         self.evidence: list[_Evidence] = []
@@ -62,13 +63,17 @@ class PersonPosterior:
             if kept.any():
                 self._add(observed[kept], unit_lights(lights[kept]), 1 / len(hypotheses))
         self.prior_share = 1 - len(self.evidence) / len(hypotheses)
+        self.n_map += self.prior_share * statistics.n_mean.flatten(1)
+        self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
     def _add(self, observed: Tensor, lights: Tensor, share: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)
         cholesky = gaussian.safe_cholesky(covariance)  # (P, K, K)
-        residual = (observed - prior_mean(statistics, lights)).double().T[..., None]  # (P, K, 1)
+        expected = prior_mean(statistics, lights)
+        gain = self._gain(observed, expected, terms.weights)
+        residual = (observed / gain - expected).double().T[..., None]  # (P, K, 1)
         whitened = gaussian.solve_lower(cholesky, residual)
         inputs = None
         if self.face is not None:
@@ -77,9 +82,12 @@ class PersonPosterior:
             code, spread = _face_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
-            self._explain(code[:, 0].to(observed), share)
+            self._explain(code[:, 0].to(observed), share * gain)
         solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T.to(observed)  # g, (K, P)
-        self.evidence.append(_Evidence(terms, solved, cholesky, inputs))
+        self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
+        share *= gain
+        self.n_map += share * statistics.n_mean.flatten(1)
+        self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and b of DESIGN 4.3, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)
         self.n_map += share * torch.einsum("dcp,ecp,kp,ke->dp", root, root, solved, lights)
@@ -87,6 +95,16 @@ class PersonPosterior:
         unique = 1 - learned.square().sum(1)
         shared = (terms.factor * solved[:, None]).sum(0)  # (r, P)
         self.pull += share * ((learned * shared).sum(1) + unique * (terms.weights.T @ (terms.std * solved)))
+
+    def _gain(self, observed: Tensor, expected: Tensor, weights: Tensor) -> float:
+        """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as its noise demands."""
+        spread = float(self.statistics.gain_spread)
+        if spread == 0:
+            return 1.0
+        weight = torch.ones_like(expected[0]) if self.visible is None else self.visible.to(expected)
+        read = ((observed * expected) @ weight / (expected.square() @ weight).clamp_min(1e-12)).clamp_min(1e-3).log()
+        trust = 1 / (weights @ self.statistics.gain_noise).square()
+        return float(torch.exp((read * trust).sum() / (1 / spread**2 + trust.sum())))
 
     def _explain(self, code: Tensor, share: float) -> None:
         """Move the mean maps by what the whole-face code says."""
@@ -100,7 +118,6 @@ class PersonPosterior:
         weights = self.statistics.weights(targets)
         std = (weights @ self.pixel.v_std.flatten(1).square()).sqrt()
         image = targets @ self.n_map + weights @ self.v_map + std * (weights @ self.pull)
-        share = (1 - self.prior_share) / max(len(self.evidence), 1)
         for evidence in self.evidence:
             kernel = self.statistics.nugget(targets, evidence.terms.light)  # (Q, K)
             near = kernel.amax(1) > NEAR
@@ -108,7 +125,7 @@ class PersonPosterior:
                 terms = light_terms(self.statistics, self.pixel, targets[near], self.face)
                 narrow = terms.narrow * (kernel[near] @ (evidence.terms.narrow * evidence.solved))
                 lost = terms.lost * (kernel[near] @ (evidence.terms.lost * evidence.solved))
-                image[near] += share * (narrow + lost)
+                image[near] += evidence.gain * (1 - self.prior_share) / len(self.evidence) * (narrow + lost)
         return image
 
     def variance(self, targets: Tensor) -> Tensor:
@@ -124,19 +141,21 @@ class PersonPosterior:
         if not self.evidence:
             prior_face = 0 if outputs is None else outputs.square().sum(-1, keepdim=True)
             return (prior + prior_face).T.to(target)
+        average = prior_mean(self.statistics, target)[0].double()
         within = torch.zeros_like(prior[:, 0])
         first, second = torch.zeros_like(within), torch.zeros_like(within)
         for index, evidence in enumerate(self.evidence):
             cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms).double()  # (P, K, 1)
             whitened = gaussian.solve_lower(evidence.cholesky, cross)
             variance = prior[:, 0] - whitened.square().sum((1, 2))
-            shift = (cross[..., 0] * evidence.solved.double().T).sum(-1)
+            shift = average + (cross[..., 0] * evidence.solved.double().T).sum(-1)
             if outputs is not None and evidence.inputs is not None:
                 code, spread = self.codes[index]
                 left = outputs - (whitened * evidence.inputs).sum(1)  # D, (P, k)
                 variance = variance + (left @ spread).square().sum(-1)
                 shift = shift + (outputs @ code)[:, 0]
-            within += gaussian.positive_variance(variance)
+            shift = evidence.gain * shift
+            within += evidence.gain**2 * gaussian.positive_variance(variance)
             first += shift
             second += shift.square()
         count = len(self.evidence)

@@ -21,6 +21,7 @@ from facerelight.kernels import kernel_weights, neighbour_widths
 from facerelight.lights import angular_distance, merge_repeats, unit_lights
 from facerelight.store import ImageStore
 from facerelight.subjects import (
+    Brightness,
     FaceOperators,
     Grams,
     face_operators,
@@ -28,6 +29,8 @@ from facerelight.subjects import (
     fill_operators,
     gather_grams,
     interpolation_error,
+    measure_brightness,
+    total_gram,
 )
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
@@ -45,6 +48,8 @@ class FitOptions:
         face_rank: loadings of the whole-face model; 0 leaves it out.
         basis: functions over the lights that the loadings of v share.
         temper: how many pixels count as one independent observation of the whole-face code.
+        brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of its own,
+            ``i = g (n^T s + v)``; False is the thesis's model.
         kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.
         nugget_width: width of the narrow kernel that makes the model exactly consistent, in spacings.
         floor: least standard deviation of v, in radiance; keeps pixels that never vary well-posed.
@@ -55,6 +60,7 @@ class FitOptions:
     face_rank: int = 0
     basis: int = 24
     temper: float = 100.0
+    brightness: bool = False
     kernel_width: float | None = None
     nugget_width: float = 0.35
     floor: float = 2e-3
@@ -125,7 +131,8 @@ class FaceStatistics(nn.Module):
         options: how to learn.
         store: where the subjects' images are kept until solved (default: in memory).
 
-    Buffers after :meth:`solve`: ``lights (J, 3)``, ``light_widths (J,)``, ``nugget_width ()``, ``n_mean (3, H, W)``, ``v_mean (J, H, W)``,
+    Buffers after :meth:`solve`: ``lights (J, 3)``, ``light_widths (J,)``, ``nugget_width ()``, ``gain_spread ()``, ``gain_noise (J,)``,
+    ``n_mean (3, H, W)``, ``v_mean (J, H, W)``,
     the submodule ``pixel`` (:class:`PixelStatistics`) and, with a ``face_rank``, ``face`` (:class:`FaceLoadings`).
     """
 
@@ -134,6 +141,8 @@ class FaceStatistics(nn.Module):
     nugget_width: Tensor
     n_mean: Tensor
     v_mean: Tensor
+    gain_spread: Tensor
+    gain_noise: Tensor
 
     def __init__(self, lights: Tensor, options: FitOptions | None = None, store: ImageStore | None = None) -> None:
         super().__init__()
@@ -146,6 +155,8 @@ class FaceStatistics(nn.Module):
         self.register_buffer("lights", distinct)
         self.register_buffer("light_widths", torch.ones(len(distinct)))
         self.register_buffer("nugget_width", torch.tensor(1.0))
+        self.register_buffer("gain_spread", torch.tensor(0.0))
+        self.register_buffer("gain_noise", torch.ones(len(distinct)))
         self.register_buffer("n_mean", None)
         self.register_buffer("v_mean", None)
         self.pixel: PixelStatistics | None = None
@@ -223,11 +234,17 @@ class FaceStatistics(nn.Module):
         grams = gather_grams(self.store, self.lights, self.options.block)
         self._choose_widths(grams)
         fill = fill_operators(grams)
-        operators = face_operators(grams, fill, self.options.face_rank) if self.options.face_rank else None
+        brightness: Brightness | None = None
+        gram = total_gram(grams, fill)
+        if self.options.brightness:
+            brightness = measure_brightness(grams, fill)
+            self.gain_spread, self.gain_noise = brightness.spread, brightness.noise
+            gram = gram / torch.outer(brightness.gain, brightness.gain)
+        operators = face_operators(gram, self.options.face_rank) if self.options.face_rank else None
         basis = self._light_basis(grams)
         pixels = height * width
         blocks = [
-            self._learn_block(self.store.block(start, min(start + self.options.block, pixels)), fill, operators, basis)
+            self._learn_block(self.store.block(start, min(start + self.options.block, pixels)), fill, brightness, operators, basis)
             for start in range(0, pixels, self.options.block)
         ]
         maps = {name: torch.cat([block[name] for block in blocks], -1).unflatten(-1, (height, width)) for name in blocks[0]}
@@ -244,9 +261,18 @@ class FaceStatistics(nn.Module):
             )
         return self
 
-    def _learn_block(self, images: Tensor, fill: dict[int, Tensor], operators: FaceOperators | None, basis: Tensor) -> dict[str, Tensor]:
+    def _learn_block(
+        self,
+        images: Tensor,
+        fill: dict[int, Tensor],
+        brightness: Brightness | None,
+        operators: FaceOperators | None,
+        basis: Tensor,
+    ) -> dict[str, Tensor]:
         """Every statistic of one block of pixels, from ``images (N, J, P)`` (4.2, 4.3)."""
         images = fill_missing(images, fill)
+        if brightness is not None:
+            images = images / brightness.gain[:, None, None]
         solver = torch.linalg.pinv(self.lights.double()).float()  # (3, J)
         n = solver @ images  # least squares per subject (4.2)
         v = images - self.lights @ n
@@ -332,7 +358,7 @@ class FaceStatistics(nn.Module):
             statistics = cls(tensors["lights"], FitOptions(**header["options"]))
             statistics.store = None
             statistics.metadata = {k: v for k, v in header.items() if k not in ("format", "version", "options")}
-            for name in ("lights", "light_widths", "nugget_width", "n_mean", "v_mean"):
+            for name in ("lights", "light_widths", "nugget_width", "gain_spread", "gain_noise", "n_mean", "v_mean"):
                 setattr(statistics, name, tensors[name])
 
             def pixel(prefix: str) -> PixelStatistics:

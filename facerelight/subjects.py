@@ -14,7 +14,17 @@ from torch import Tensor
 from facerelight.kernels import kernel_weights
 from facerelight.store import ImageStore
 
-__all__ = ["FaceOperators", "Grams", "face_operators", "fill_missing", "fill_operators", "gather_grams", "interpolation_error"]
+__all__ = [
+    "Brightness",
+    "FaceOperators",
+    "Grams",
+    "face_operators",
+    "fill_missing",
+    "fill_operators",
+    "gather_grams",
+    "interpolation_error",
+    "measure_brightness",
+]
 
 
 class Grams(NamedTuple):
@@ -28,6 +38,15 @@ class Grams(NamedTuple):
     missing: Tensor
     deviation: Tensor
     deviation_spread: Tensor
+
+
+class Brightness(NamedTuple):
+    """``gain (N,)`` of each subject about 1; ``spread ()``, its standard deviation in logarithm; ``noise (J,)``, by light, that of the gain
+    read off a single image."""
+
+    gain: Tensor
+    spread: Tensor
+    noise: Tensor
 
 
 class FaceOperators(NamedTuple):
@@ -102,19 +121,39 @@ def fill_missing(images: Tensor, fill: dict[int, Tensor]) -> Tensor:
     return images
 
 
-def face_operators(grams: Grams, fill: dict[int, Tensor], rank: int) -> FaceOperators:
+def total_gram(grams: Grams, fill: dict[int, Tensor]) -> Tensor:
+    """``(N, N)`` inner products of the subjects over all lights, missing images filled in."""
+    total = torch.zeros_like(grams.subjects[0])
+    for light, inner in enumerate(grams.subjects):
+        operator = fill.get(light)
+        total += inner if operator is None else operator @ inner @ operator.T
+    return total
+
+
+def measure_brightness(grams: Grams, fill: dict[int, Tensor]) -> Brightness:
+    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells."""
+    total = total_gram(grams, fill)
+    gain = torch.ones(len(total), dtype=torch.float64)
+    for _ in range(5):
+        average = total @ (1 / gain)  # inner products with N times the average face
+        gain = average / ((1 / gain) @ average) * len(gain)
+        gain = gain / gain.log().mean().exp()
+    noise = []
+    for light, inner in enumerate(grams.subjects):
+        operator = fill.get(light)
+        scaled = (inner if operator is None else operator @ inner @ operator.T) / torch.outer(gain, gain)
+        noise.append((scaled.mean(1) / scaled.mean()).clamp_min(1e-3).log().std())
+    return Brightness(gain.float(), gain.log().std().clamp_min(1e-3).float(), torch.stack(noise).clamp_min(1e-3).float())
+
+
+def face_operators(gram: Tensor, rank: int) -> FaceOperators:
     """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects (DESIGN 4.7).
 
     Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out: its residual is what
     the others' components leave of it, and each loading is scaled by the spread of the left-out subjects' scores. At rank 0 the residual
     is exactly the per-pixel model's centred field.
     """
-    light_count, count = grams.subjects.shape[:2]
-    gram = torch.zeros(count, count, dtype=torch.float64)
-    for light in range(light_count):
-        operator = fill.get(light)
-        inner = grams.subjects[light]
-        gram += inner if operator is None else operator @ inner @ operator.T
+    count = len(gram)
     rank = min(rank, count - 2)
     residual = torch.empty(count, count, dtype=torch.float64)
     scores = torch.empty(count, rank, dtype=torch.float64)

@@ -43,6 +43,7 @@ def main() -> int:
     parser.add_argument("--face-rank", type=int, default=18)
     parser.add_argument("--temper", type=float, default=100.0)
     parser.add_argument("--kernel-width", type=float, default=None, help="in light spacings; default: cross-validation")
+    parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
     parser.add_argument("--heads", type=int, default=80, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--json", type=Path, default=None)
     args = parser.parse_args()
@@ -51,7 +52,13 @@ def main() -> int:
     started = time.perf_counter()
     faces = load_yale(args.data, args.height, args.width)
     face_rank = args.face_rank if args.covariance == "face" else 0
-    options = FitOptions(rank=args.rank, face_rank=face_rank, temper=args.temper, kernel_width=args.kernel_width)
+    options = FitOptions(
+        rank=args.rank,
+        face_rank=face_rank,
+        temper=args.temper,
+        kernel_width=args.kernel_width,
+        brightness=args.exposure == "estimated",
+    )
     widths: list[float] = []
 
     def make(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor) -> FaceStatistics:
@@ -69,6 +76,7 @@ def main() -> int:
         "covariance": args.covariance,
         "statistics": args.statistics,
         "source_light": args.source_light,
+        "exposure": args.exposure,
         "resolution": [args.height, args.width],
         "folds": args.folds,
         "kernel_width_deg": round(sum(widths) / len(widths), 2),

@@ -77,6 +77,15 @@ def test_consistency(statistics: FaceStatistics, people: torch.Tensor, lights: t
 
 
 @pytest.mark.parametrize("covariance", MODELS)
+def test_consistency_holds_with_an_unknown_gain(people: torch.Tensor, lights: torch.Tensor, covariance: str) -> None:
+    statistics = FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, brightness=True)
+    images = people[13:14, :3] * 1.3
+    out = StatisticalRelighter(statistics, covariance)(images, lights[:3], source_lights=lights[:3])
+    assert (out.mean - images).abs().max() < 0.5 / 255
+    assert out.variance.max() < 1e-6
+
+
+@pytest.mark.parametrize("covariance", MODELS)
 def test_consistency_between_bootstrap_lights(statistics: FaceStatistics, covariance: str) -> None:
     sources = random_lights(4, 3)
     images = torch.rand(1, 4, 24, 21) * 0.6

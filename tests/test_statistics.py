@@ -56,13 +56,13 @@ def test_missing_images_are_filled_from_the_same_person(people: torch.Tensor, li
 
 def test_rank_zero_face_is_the_pixel_model(people: torch.Tensor, lights: torch.Tensor) -> None:
     """Left-out residuals at rank 0 are the centred fields, in scale too."""
-    from facerelight.subjects import face_operators, gather_grams
+    from facerelight.subjects import face_operators, gather_grams, total_gram
 
     store = ImageStore()
     for subject in people[:12]:
         store.add(subject)
     grams = gather_grams(store, lights, 512)
-    operators = face_operators(grams, {}, 0)
+    operators = face_operators(total_gram(grams, {}), 0)
     field = people[:12].flatten(1)
     residual = operators.residual @ field
     assert torch.allclose(residual.square().sum(0) / 12, field.var(0), atol=1e-6)
@@ -108,3 +108,16 @@ def test_repeated_poles_are_merged() -> None:
     for _ in range(3):
         statistics.update(torch.rand(101, 8, 8))
     assert statistics.solve().v_mean.shape == (83, 8, 8)
+
+
+def test_brightness_is_taken_out_and_put_back(people: torch.Tensor, lights: torch.Tensor) -> None:
+    """People who differ by a factor alone leave nothing else to learn, and a new one is relit without error."""
+    from facerelight.relighter import StatisticalRelighter
+
+    factors = torch.linspace(0.6, 1.6, 8)
+    images = factors[:, None, None, None] * people[:1] * 0.8
+    statistics = FaceStatistics.fit(images, lights, rank=3, brightness=True, kernel_width=0.2)
+    assert statistics.pixel.v_std.max() <= statistics.options.floor * 1.01
+    assert abs(float(statistics.gain_spread) - float(factors.log().std())) < 0.01
+    out = StatisticalRelighter(statistics)(people[:1, :1] * 0.9, lights[9:10], source_lights=lights[:1])
+    assert torch.allclose(out.mean[0], people[0, 9:10] * 0.9, atol=0.02)
