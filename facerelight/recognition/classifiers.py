@@ -1,0 +1,236 @@
+"""Classifiers over exemplars, as modules with learned buffers and scikit-learn's manner."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Self
+
+import torch
+from torch import Tensor, nn
+
+from facerelight.recognition.subspaces import Subspace, principal_subspace
+
+__all__ = ["GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier"]
+
+
+class _Classifier(nn.Module):
+    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``, rejection of strangers."""
+
+    def __init__(self, normalizer: nn.Module | None = None, reject: float | None = None) -> None:
+        super().__init__()
+        self.normalizer = normalizer or nn.Identity()
+        self.reject = reject
+        self.classes_: list[Hashable] | None = None
+
+    def fit(self, exemplars: Tensor, labels: Sequence[Hashable]) -> Self:
+        """Learn from ``exemplars (M, H, W)`` with one label each; fitting again starts afresh."""
+        rows, index = self._prepare(exemplars, labels)
+        self._learn(rows, index)
+        return self
+
+    def _prepare(self, exemplars: Tensor, labels: Sequence[Hashable]) -> tuple[Tensor, Tensor]:
+        if exemplars.dim() != 3 or len(exemplars) == 0:
+            raise ValueError(f"exemplars: expected (M, H, W) with M >= 1, got {tuple(exemplars.shape)}")
+        if len(labels) != len(exemplars):
+            raise ValueError(f"labels: expected one for each of {len(exemplars)} exemplars, got {len(labels)}")
+        if not torch.isfinite(exemplars).all():
+            raise ValueError("exemplars: expected finite values, got NaN or infinity")
+        self.classes_ = sorted(set(labels), key=str)
+        place = {label: i for i, label in enumerate(self.classes_)}
+        return self._rows(exemplars), torch.tensor([place[label] for label in labels])
+
+    def _rows(self, images: Tensor) -> Tensor:
+        return self.normalizer(images.float()).flatten(1)
+
+    def _learn(self, rows: Tensor, index: Tensor) -> None:
+        raise TypeError(f"{type(self).__name__} cannot be fitted")
+
+    def _scores(self, rows: Tensor) -> Tensor:
+        raise TypeError(f"{type(self).__name__} cannot score")
+
+    def decision_function(self, images: Tensor) -> Tensor:
+        """Scores ``(M, C)`` of images ``(M, H, W)`` for each of ``classes_``; the highest wins."""
+        if self.classes_ is None:
+            raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
+        if images.dim() != 3 or not torch.isfinite(images).all():
+            raise ValueError(f"images: expected finite (M, H, W), got {tuple(images.shape)}")
+        return self._scores(self._rows(images))
+
+    def predict(self, images: Tensor) -> list[Hashable | None]:
+        """The label of each image; None where the best score lies below the ``reject`` threshold."""
+        scores = self.decision_function(images)
+        assert self.classes_ is not None  # noqa: S101 - decision_function has checked it
+        best = scores.max(1)
+        known = best.values >= (-torch.inf if self.reject is None else self.reject)
+        return [self.classes_[i] if ok else None for i, ok in zip(best.indices.tolist(), known.tolist(), strict=True)]
+
+    def score(self, images: Tensor, labels: Sequence[Hashable]) -> float:
+        """Rank-1 accuracy."""
+        right = [p == label for p, label in zip(self.predict(images), labels, strict=True)]
+        return sum(right) / max(len(right), 1)
+
+
+class NearestNeighborClassifier(_Classifier):
+    """The label of the nearest exemplar.
+
+    Args:
+        metric: "l2"; "cosine"; or "l0", the semi-norm of 6.1: how many pixels of a 16 x 16 thumbnail differ by more than ``threshold``.
+        threshold: of "l0", in the images' units.
+        normalizer: photometric normalisation, see :mod:`photometric`.
+        reject: least score that is not a stranger.
+    """
+
+    exemplars: Tensor
+    index: Tensor
+
+    def __init__(self, metric: str = "l2", threshold: float = 0.05, normalizer: nn.Module | None = None, reject: float | None = None) -> None:
+        super().__init__(normalizer, reject)
+        if metric not in ("l2", "cosine", "l0"):
+            raise ValueError(f"metric: expected 'l2', 'cosine' or 'l0', got {metric!r}")
+        self.metric, self.threshold = metric, threshold
+        self.register_buffer("exemplars", torch.zeros(0, 0))
+        self.register_buffer("index", torch.zeros(0, dtype=torch.long))
+
+    def _rows(self, images: Tensor) -> Tensor:
+        if self.metric == "l0":
+            images = nn.functional.interpolate(self.normalizer(images.float())[:, None], (16, 16), mode="area")[:, 0]
+            return images.flatten(1)
+        rows = super()._rows(images)
+        return nn.functional.normalize(rows, dim=1) if self.metric == "cosine" else rows
+
+    def _learn(self, rows: Tensor, index: Tensor) -> None:
+        self.exemplars, self.index = rows, index
+
+    def _scores(self, rows: Tensor) -> Tensor:
+        if self.metric == "l0":
+            near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).float() for row in rows])
+        else:
+            near = -torch.cdist(rows, self.exemplars)
+        assert self.classes_ is not None  # noqa: S101
+        scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
+        return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
+
+
+class GlobalPCAClassifier(_Classifier):
+    """The nearest exemplar in one PCA subspace of all exemplars (6.1).
+
+    Args:
+        dimension: of the subspace; None: by 1 % reconstruction error.
+        error: that error.
+        normalizer, reject: as for all.
+    """
+
+    mean: Tensor
+    basis: Tensor
+    projected: Tensor
+    index: Tensor
+
+    def __init__(
+        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None
+    ) -> None:
+        super().__init__(normalizer, reject)
+        self.dimension, self.error = dimension, error
+        for name in ("mean", "basis", "projected"):
+            self.register_buffer(name, torch.zeros(0))
+        self.register_buffer("index", torch.zeros(0, dtype=torch.long))
+
+    def _learn(self, rows: Tensor, index: Tensor) -> None:
+        space = principal_subspace(rows, self.dimension, self.error)
+        self.mean, self.basis, self.index = space.mean, space.basis, index
+        self.projected = (rows - self.mean) @ self.basis
+
+    def _scores(self, rows: Tensor) -> Tensor:
+        near = -torch.cdist((rows - self.mean) @ self.basis, self.projected)
+        assert self.classes_ is not None  # noqa: S101
+        scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
+        return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
+
+
+class IndividualPCAClassifier(_Classifier):
+    """One PCA subspace a person; the smallest reconstruction error wins (6.1).
+
+    Memory is linear in people and does not depend on how many exemplars there were.
+
+    Args:
+        dimension: of each subspace; None: as few as leave 1 % of the energy, 35 to 45 in the thesis.
+        error: that error.
+        normalizer: photometric normalisation of exemplars and probes alike.
+        reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`calibrate`.
+
+    Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``dimensions (C,)``.
+
+    Example:
+        >>> images = torch.rand(12, 8, 8)
+        >>> classifier = IndividualPCAClassifier(dimension=2).fit(images, ["ann"] * 6 + ["bob"] * 6)
+        >>> classifier.reconstruction_error(images).shape
+        torch.Size([12, 2])
+    """
+
+    means: Tensor
+    bases: Tensor
+    dimensions: Tensor
+
+    def __init__(
+        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None
+    ) -> None:
+        super().__init__(normalizer, reject)
+        if dimension is not None and dimension < 0:
+            raise ValueError(f"dimension: expected at least 0, got {dimension}")
+        self.dimension, self.error = dimension, error
+        for name in ("means", "bases"):
+            self.register_buffer(name, torch.zeros(0))
+        self.register_buffer("dimensions", torch.zeros(0, dtype=torch.long))
+
+    def _learn(self, rows: Tensor, index: Tensor) -> None:
+        spaces = [principal_subspace(rows[index == c], self.dimension, self.error) for c in range(int(index.max()) + 1)]
+        self._keep(spaces)
+
+    def fit_subspaces(self, spaces: Sequence[Subspace], labels: Sequence[Hashable]) -> Self:
+        """Take ready-made subspaces, one a person (of :func:`direct_subspace`, say), instead of exemplars."""
+        if len(spaces) == 0 or len(spaces) != len(labels) or len(set(labels)) != len(labels):
+            raise ValueError(f"labels: expected a different one for each of {len(spaces)} subspaces, got {len(set(labels))}")
+        order = sorted(range(len(labels)), key=lambda i: str(labels[i]))
+        self.classes_ = [labels[i] for i in order]
+        self._keep([spaces[i] for i in order])
+        return self
+
+    def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
+        """Add one person, or replace them, without touching the others."""
+        rows = self._rows(exemplars)
+        known = {} if self.classes_ is None else dict(zip(self.classes_, self._spaces(), strict=True))
+        known[label] = principal_subspace(rows, self.dimension, self.error)
+        return self.fit_subspaces(list(known.values()), list(known))
+
+    def _spaces(self) -> list[Subspace]:
+        sizes = self.dimensions.tolist()
+        return [Subspace(m, b[:, :k], torch.ones(k)) for m, b, k in zip(self.means, self.bases, sizes, strict=True)]
+
+    def _keep(self, spaces: Sequence[Subspace]) -> None:
+        widest = max(space.basis.shape[1] for space in spaces)
+        self.means = torch.stack([space.mean for space in spaces])
+        self.bases = torch.stack([nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces])
+        self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces])
+
+    def reconstruction_error(self, images: Tensor) -> Tensor:
+        """``|x - x_c|^2`` of images ``(M, H, W)`` in each person's subspace, ``(M, C)``."""
+        if self.classes_ is None:
+            raise RuntimeError("IndividualPCAClassifier: nothing is learned yet; call fit first")
+        return self._errors(self._rows(images))
+
+    def _errors(self, rows: Tensor) -> Tensor:
+        """``|x - m|^2 - |B^T (x - m)|^2``, by one matrix product with all bases side by side."""
+        people, size, width = self.bases.shape
+        bases = self.bases.permute(1, 0, 2).reshape(size, people * width)
+        shift = torch.einsum("cdk,cd->ck", self.bases, self.means)
+        inside = (rows @ bases).unflatten(1, (people, width)) - shift
+        outside = rows.square().sum(1, keepdim=True) - 2 * rows @ self.means.T + self.means.square().sum(1)
+        return (outside - inside.square().sum(-1)).clamp_min(0)
+
+    def _scores(self, rows: Tensor) -> Tensor:
+        return -self._errors(rows) / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
+
+    def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
+        """Set ``reject`` so that this share of ``images``, all of enrolled people, is turned away."""
+        best = self.decision_function(images).max(1).values
+        self.reject = float(best.quantile(false_rejections))
+        return self

@@ -1,0 +1,60 @@
+"""Exemplars: pictures of a person under lights nobody photographed (6.1, 6.3), and the subspace they span without making them (6.2)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from facerelight.lights import angle_grid, hemisphere_quadrature
+from facerelight.posterior import PersonPosterior, Posterior
+from facerelight.recognition.subspaces import Subspace
+
+__all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]
+
+
+def exemplar_lights(kind: str = "grid") -> tuple[Tensor, Tensor]:
+    """Lights ``(Q, 3)`` and weights ``(Q,)``: "grid", 30 x 30 angles of equal weight (6.3); "hemisphere", uniform by quadrature (6.1)."""
+    if kind == "grid":
+        lights = angle_grid(30)
+        return lights, torch.full((len(lights),), 1 / len(lights))
+    if kind == "hemisphere":
+        return hemisphere_quadrature(12)
+    raise ValueError(f"lights: expected 'grid' or 'hemisphere', got {kind!r}")
+
+
+def synthesize(posterior: Posterior, lights: Tensor) -> Tensor:
+    """Each person of ``posterior`` under every light: ``(B, Q, H, W)``, clamped to radiance 0..1 as a camera would."""
+    return posterior.mean(lights).clamp(0, 1)
+
+
+def light_moments(posterior: Posterior, lights: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """The person-independent half of (6.1): mean ``(L,)`` of the features ``h(s) = (s, w(s), sigma-free w(s))`` and a root of their covariance.
+
+    The posterior mean is ``i(s) = A h(s)`` with ``h = (s, w(s))`` and ``A = (n_MAP, v_map)`` plus ``sigma(s) w(s).b``; with the deviation's
+    std taken as fixed per bootstrap light (covariance interpolation), ``A = (n_MAP, v_map + sigma b)`` and nothing else depends on s.
+
+    Returns:
+        ``mean (L,)`` and ``root (L, r)`` with ``root root^T`` the weighted covariance of h, L = 3 + J.
+    """
+    statistics = posterior.people[0].statistics
+    features = torch.cat((lights, statistics.weights(lights)), -1).double()  # (Q, L)
+    share = (weights / weights.sum()).double()
+    mean = share @ features
+    centred = (features - mean) * share.sqrt()[:, None]
+    values, vectors = torch.linalg.eigh(centred.T @ centred)
+    kept = values > 1e-12 * values[-1]
+    return mean.float(), (vectors[:, kept] * values[kept].sqrt()).float()
+
+
+def direct_subspace(person: PersonPosterior, moments: tuple[Tensor, Tensor], dimension: int) -> Subspace:
+    """The individual subspace straight from the posterior, not one image synthesised (6.2, eq. 6.1).
+
+    The covariance of all of a person's images is ``A Sigma_h A^T``; its leading eigenvectors are the left singular vectors of ``A root``.
+    """
+    mean, root = moments
+    maps = torch.cat((person.n_map, person.v_map + person.pixel.v_std.flatten(1) * person.pull))  # A^T, (L, P)
+    design = maps.T @ root  # (P, r)
+    values, vectors = torch.linalg.eigh((design.T @ design).double())
+    values, vectors = values.flip(0)[:dimension].clamp_min(1e-30), vectors.flip(1)[:, :dimension]
+    basis = design @ (vectors / values.sqrt()).to(design)
+    return Subspace(mean @ maps, basis, values.sqrt().to(design))
