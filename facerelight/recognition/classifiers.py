@@ -59,7 +59,7 @@ class _Classifier(nn.Module):
     def predict(self, images: Tensor) -> list[Hashable | None]:
         """The label of each image; None where the best score lies below the ``reject`` threshold."""
         scores = self.decision_function(images)
-        assert self.classes_ is not None  # noqa: S101 - decision_function has checked it
+        assert self.classes_ is not None
         best = scores.max(1)
         known = best.values >= (-torch.inf if self.reject is None else self.reject)
         return [self.classes_[i] if ok else None for i, ok in zip(best.indices.tolist(), known.tolist(), strict=True)]
@@ -106,7 +106,7 @@ class NearestNeighborClassifier(_Classifier):
             near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).float() for row in rows])
         else:
             near = -torch.cdist(rows, self.exemplars)
-        assert self.classes_ is not None  # noqa: S101
+        assert self.classes_ is not None
         scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 
@@ -141,7 +141,7 @@ class GlobalPCAClassifier(_Classifier):
 
     def _scores(self, rows: Tensor) -> Tensor:
         near = -torch.cdist((rows - self.mean) @ self.basis, self.projected)
-        assert self.classes_ is not None  # noqa: S101
+        assert self.classes_ is not None
         scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 

@@ -5,21 +5,28 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from facerelight.lights import angle_grid, hemisphere_quadrature
+from facerelight.lights import angle_grid, even_hemisphere, hemisphere_quadrature
 from facerelight.posterior import PersonPosterior, Posterior
 from facerelight.recognition.subspaces import Subspace
 
 __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]
 
 
-def exemplar_lights(kind: str = "grid") -> tuple[Tensor, Tensor]:
-    """Lights ``(Q, 3)`` and weights ``(Q,)``: "grid", 30 x 30 angles of equal weight (6.3); "hemisphere", uniform by quadrature (6.1)."""
+def exemplar_lights(kind: str = "cap") -> tuple[Tensor, Tensor]:
+    """Lights ``(Q, 3)`` and weights ``(Q,)`` to synthesise under.
+
+    "grid": 30 x 30 angles of equal weight (6.3); "hemisphere": uniform, by quadrature (6.1); "cap": 60 even lights within 66 degrees of the
+    camera, where relit faces are not mostly shadow.
+    """
+    if kind == "cap":
+        lights = even_hemisphere(100)[:60]
+        return lights, torch.full((60,), 1 / 60)
     if kind == "grid":
         lights = angle_grid(30)
         return lights, torch.full((len(lights),), 1 / len(lights))
     if kind == "hemisphere":
         return hemisphere_quadrature(12)
-    raise ValueError(f"lights: expected 'grid' or 'hemisphere', got {kind!r}")
+    raise ValueError(f"lights: expected 'grid', 'hemisphere' or 'cap', got {kind!r}")
 
 
 def synthesize(posterior: Posterior, lights: Tensor) -> Tensor:

@@ -1,0 +1,132 @@
+"""Recognition measured: one training image a person under one light, all other images as probes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from facerelight.bootstrap.dataset import FaceImages, to_grid
+from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.exemplars import exemplar_lights, synthesize
+from facerelight.recognition.photometric import make_normalizer
+from facerelight.relighter import StatisticalRelighter
+
+__all__ = ["CLASSIFIERS", "Tally", "evaluate_gallery", "training_lights"]
+
+CLASSIFIERS = ("nearest_neighbor", "nearest_neighbor+exemplars", "global_pca", "individual_pca", "individual_pca_9")
+
+
+class Tally(NamedTuple):
+    """Of one classifier on one gallery: ``right (M,)`` bool, ``subset (M,)``, ``seconds`` in all."""
+
+    right: Tensor
+    subset: Tensor
+    seconds: float
+
+
+def training_lights(faces: FaceImages, people: list[int], case: str, draws: int, seed: int = 0) -> Iterator[dict[int, int]]:
+    """Galleries of a protocol: which light each person's one training image has.
+
+    Args:
+        faces: the data.
+        people: the gallery.
+        case: "front", "side" (azimuth +70), "same" (each light in turn for everybody), "random", or "random-mild" (subsets 1 to 4).
+        draws: galleries drawn in the random cases.
+        seed: of the draws.
+    """
+    _, valid = to_grid(faces)
+    subset = torch.zeros(len(faces.lights), dtype=torch.long).index_copy_(0, faces.light, faces.subset)
+    if case in ("front", "side"):
+        wanted = torch.tensor((0.0 if case == "front" else 70.0, 0.0))
+        light = int((faces.angles - wanted).abs().sum(1).argmin())
+        yield {person: light for person in people if valid[person, light]}
+    elif case == "same":
+        for light in range(len(faces.lights)):
+            yield {person: light for person in people if valid[person, light]}
+    elif case in ("random", "random-mild"):
+        generator = torch.Generator().manual_seed(seed)
+        allowed = (subset <= 4) if case == "random-mild" else torch.ones_like(subset, dtype=torch.bool)
+        for _ in range(draws):
+            order = torch.randperm(len(faces.lights), generator=generator).tolist()
+            free = [light for light in order if allowed[light]]
+            gallery = {}
+            for person in people:
+                light = next((x for x in free if valid[person, x]), None)
+                if light is not None:
+                    gallery[person] = light
+                    free.remove(light)
+            yield gallery
+    else:
+        raise ValueError(f"train light: expected front, side, same, random or random-mild, got {case!r}")
+
+
+def evaluate_gallery(
+    faces: FaceImages,
+    gallery: dict[int, int],
+    relighter: StatisticalRelighter,
+    classifiers: list[str],
+    estimated: bool = False,
+    exemplars: str = "cap",
+) -> dict[str, Tally]:
+    """Fit every classifier to one gallery and count right answers over all other images of its people.
+
+    Args:
+        faces: the data.
+        gallery: person to light of the training image.
+        relighter: synthesises exemplars.
+        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs" or "+weber" where wanted.
+        estimated: estimate the training images' lights instead of taking the labels.
+        exemplars: lights to synthesise under, see :func:`exemplar_lights`.
+    """
+    images, valid = to_grid(faces)
+    subset = torch.zeros(len(faces.lights), dtype=torch.long).index_copy_(0, faces.light, faces.subset)
+    people = list(gallery)
+    training = torch.stack([images[person, light] for person, light in gallery.items()])
+    probes, labels, parts = [], [], []
+    for person, light in gallery.items():
+        others = [x for x in valid[person].nonzero()[:, 0].tolist() if x != light]
+        probes.append(images[person, others])
+        labels += [person] * len(others)
+        parts.append(subset[others])
+    stack = torch.cat(probes)
+    given = None if estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
+    posterior = relighter.condition(training[:, None], given, draws=8)
+    lights, _ = exemplar_lights(exemplars)
+    relit = synthesize(posterior, lights)
+    rows = torch.cat((relit, training[:, None]), 1).flatten(0, 1)
+    owners = [person for person in people for _ in range(relit.shape[1] + 1)]
+    tallies = {}
+    for name in classifiers:
+        base, photometric = _split_name(name)
+        normalizer = make_normalizer(photometric)
+        started = time.perf_counter()
+        if base == "nearest_neighbor":
+            metric = "cosine" if photometric else "l2"
+            classifier = NearestNeighborClassifier(metric, normalizer=normalizer).fit(training, people)
+        elif base == "nearest_neighbor+exemplars":
+            classifier = NearestNeighborClassifier(normalizer=normalizer).fit(rows, owners)
+        elif base == "global_pca":
+            classifier = GlobalPCAClassifier(40, normalizer=normalizer).fit(rows, owners)
+        else:
+            dimension = None if base == "individual_pca" else 9
+            classifier = IndividualPCAClassifier(dimension, normalizer=normalizer).fit(rows, owners)
+        found = classifier.predict(stack)
+        right = torch.tensor([a == b for a, b in zip(found, labels, strict=True)])
+        tallies[name] = Tally(right, torch.cat(parts), time.perf_counter() - started)
+    return tallies
+
+
+def _split_name(name: str) -> tuple[str, str | None]:
+    for suffix in ("tan_triggs", "weber"):
+        if name.endswith("+" + suffix):
+            name = name.removesuffix("+" + suffix)
+            break
+    else:
+        suffix = ""
+    if name not in CLASSIFIERS:
+        raise ValueError(f"classifier: expected one of {', '.join(CLASSIFIERS)} (+tan_triggs, +weber), got {name!r}")
+    return name, suffix or None

@@ -1,0 +1,128 @@
+"""Measure recognition from one image a person: protocols yale-recognize and pie-recognize.
+
+    python scripts/evaluate_recognition.py --protocol yale-recognize --data yaleb_192x168.npz --train-light side --json out.json
+    python scripts/evaluate_recognition.py --protocol pie-recognize --data pie10_55x44.npz --statistics real \\
+        --bootstrap-data yaleb_192x168.npz --train-light random --source-light estimated
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import torch
+
+from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
+from facerelight.bootstrap.dataset import FaceImages, load_pie, load_yale, to_grid
+from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.recognition.evaluation import CLASSIFIERS, Tally, evaluate_gallery, training_lights
+from facerelight.relighter import StatisticalRelighter
+from facerelight.statistics import FaceStatistics, FitOptions
+
+PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
+
+
+def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args: argparse.Namespace) -> StatisticalRelighter:
+    options = FitOptions(face_rank=18 if args.covariance == "face" else 0, brightness=True)
+    estimator = KernelIlluminationEstimator.fit(images, lights, valid)
+    return StatisticalRelighter(FaceStatistics.fit(images, lights, valid, options), args.covariance, estimator)
+
+
+def rendered(args: argparse.Namespace) -> StatisticalRelighter:
+    from dataclasses import replace
+
+    from facerelight.config import TrainConfig, default_statistics_folder
+    from facerelight.training import train
+
+    fit = FitOptions(face_rank=40, brightness=True)
+    config = replace(TrainConfig(height=args.height, width=args.width, margin=0.0), fit=fit)
+    folder = default_statistics_folder(config)
+    if not (folder / "statistics.safetensors").exists():
+        train(config, folder)
+    return StatisticalRelighter.from_pretrained(folder, args.covariance)
+
+
+def as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:
+    """PIE's crops moved into the canonical one."""
+    matrix = fit_similarity(torch.tensor(PIE_LANDMARKS, dtype=torch.float64), frame.landmarks)
+    moved = warp_to_crop(faces.images[:, None], matrix.expand(len(faces.images), -1, -1), frame)[:, 0]
+    return faces._replace(images=moved)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--protocol", choices=["yale-recognize", "pie-recognize"], default="yale-recognize")
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--bootstrap-data", type=Path, default=None, help="Extended Yale B, for pie-recognize with real statistics")
+    parser.add_argument("--train-light", choices=["front", "side", "same", "random", "random-mild"], default="front")
+    parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
+    parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
+    parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
+    parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
+    parser.add_argument("--photometric", nargs="+", choices=["none", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
+    parser.add_argument("--exemplars", choices=["grid", "hemisphere", "cap"], default="cap")
+    parser.add_argument("--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)")
+    parser.add_argument("--height", type=int, default=96)
+    parser.add_argument("--width", type=int, default=84)
+    parser.add_argument("--json", type=Path, default=None)
+    args = parser.parse_args()
+    torch.set_grad_enabled(False)
+    names = [c if p == "none" else f"{c}+{p}" for p in args.photometric for c in args.classifier]
+    tallies: dict[str, list[Tally]] = {name: [] for name in names}
+    pie = args.protocol == "pie-recognize"
+    draws = args.draws or (100 if pie else 20)
+
+    frame = CropFrame(args.height, args.width)
+    faces = as_canonical(load_pie(args.data), frame) if pie else load_yale(args.data, args.height, args.width)
+    if pie:
+        if args.statistics == "real":
+            if args.bootstrap_data is None:
+                parser.error("--statistics real needs --bootstrap-data for pie-recognize")
+            bootstrap = load_yale(args.bootstrap_data, args.height, args.width)
+            relighter = learn(*(lambda grid: (grid[0], bootstrap.lights, grid[1]))(to_grid(bootstrap)), args)
+        else:
+            relighter = rendered(args)
+        groups = [(list(range(len(faces.names))), relighter)]
+    elif args.statistics == "synthetic":
+        groups = [(list(range(len(faces.names))), rendered(args))]
+    else:
+        images, valid = to_grid(faces)
+        groups = []
+        for fold in range(4):
+            train = [i for i in range(len(images)) if i % 4 != fold]
+            groups.append(([i for i in range(len(images)) if i % 4 == fold], learn(images[train], faces.lights, valid[train], args)))
+    for people, relighter in groups:
+        for gallery in training_lights(faces, people, args.train_light, draws):
+            found = evaluate_gallery(faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars)
+            for name, tally in found.items():
+                tallies[name].append(tally)
+
+    results = {}
+    for name, runs in tallies.items():
+        right, subset = torch.cat([t.right for t in runs]).float(), torch.cat([t.subset for t in runs])
+        each = torch.tensor([float(t.right.float().mean()) for t in runs])
+        results[name] = {
+            "accuracy": round(100 * float(right.mean()), 2),
+            "std": round(100 * float(each.std(correction=0)), 2),
+            "by_subset": {str(s): round(100 * float(right[subset == s].mean()), 2) for s in sorted(set(subset.tolist()))},
+            "seconds_per_probe": round(sum(t.seconds for t in runs) / len(right), 6),
+        }
+    report = {
+        "protocol": args.protocol,
+        "train_light": args.train_light,
+        "statistics": args.statistics,
+        "covariance": args.covariance,
+        "source_light": args.source_light,
+        "resolution": [args.height, args.width],
+        "exemplars": args.exemplars,
+        "results": results,
+    }
+    text = json.dumps(report, indent=2)
+    if args.json:
+        args.json.write_text(text)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
