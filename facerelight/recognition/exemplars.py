@@ -60,8 +60,8 @@ def direct_subspace(person: PersonPosterior, moments: tuple[Tensor, Tensor], dim
     """
     mean, root = moments
     maps = torch.cat((person.n_map, person.v_map + person.pixel.v_std.flatten(1) * person.pull))  # A^T, (L, P)
-    design = maps.T @ root  # (P, r)
-    values, vectors = torch.linalg.eigh((design.T @ design).double())
+    design = maps.T.double() @ root.double()  # (P, r)
+    values, vectors = torch.linalg.eigh(design.T @ design)
     values, vectors = values.flip(0)[:dimension].clamp_min(1e-30), vectors.flip(1)[:, :dimension]
-    basis = design @ (vectors / values.sqrt()).to(design)
-    return Subspace(mean @ maps, basis, values.sqrt().to(design))
+    basis = design @ (vectors / values.sqrt())
+    return Subspace(mean @ maps, basis.to(maps), values.sqrt().to(maps))

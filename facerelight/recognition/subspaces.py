@@ -41,7 +41,8 @@ def principal_subspace(exemplars: Tensor, dimension: int | None = None, error: f
     share = torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype) if weights is None else weights / weights.sum()
     mean = share @ exemplars
     rows = (exemplars - mean) * share.sqrt()[:, None]
-    gram = (rows @ rows.T).double() if len(rows) <= rows.shape[1] else (rows.T @ rows).double()
+    wide = rows.double()
+    gram = wide @ wide.T if len(rows) <= rows.shape[1] else wide.T @ wide
     values, vectors = torch.linalg.eigh(gram)
     values, vectors = values.flip(0).clamp_min(0), vectors.flip(1)
     significant = int((values > 1e-10 * values[0].clamp_min(1e-30)).sum())
@@ -51,10 +52,10 @@ def principal_subspace(exemplars: Tensor, dimension: int | None = None, error: f
         dimension = int((left > error * total).sum()) + 1
     kept = max(0, min(dimension, significant))
     singular = values[:kept].sqrt()
-    basis = vectors[:, :kept].to(rows)
+    basis = vectors[:, :kept]
     if len(rows) <= rows.shape[1]:
-        basis = (rows.T @ basis) / singular.to(rows)
-    return Subspace(mean, basis, singular.to(rows))
+        basis = (wide.T @ basis) / singular
+    return Subspace(mean, basis.to(rows), singular.to(rows))
 
 
 def principal_angles(a: Tensor, b: Tensor) -> Tensor:
