@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
-__all__ = ["GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier"]
+__all__ = ["Classifier", "GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier"]
 
 
-class _Classifier(nn.Module):
+class Classifier(nn.Module):
     """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``, rejection of strangers."""
 
     def __init__(self, normalizer: nn.Module | None = None, reject: float | None = None) -> None:
@@ -70,7 +70,7 @@ class _Classifier(nn.Module):
         return sum(right) / max(len(right), 1)
 
 
-class NearestNeighborClassifier(_Classifier):
+class NearestNeighborClassifier(Classifier):
     """The label of the nearest exemplar.
 
     Args:
@@ -111,7 +111,7 @@ class NearestNeighborClassifier(_Classifier):
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 
 
-class GlobalPCAClassifier(_Classifier):
+class GlobalPCAClassifier(Classifier):
     """The nearest exemplar in one PCA subspace of all exemplars (6.1).
 
     Args:
@@ -146,7 +146,7 @@ class GlobalPCAClassifier(_Classifier):
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 
 
-class IndividualPCAClassifier(_Classifier):
+class IndividualPCAClassifier(Classifier):
     """One PCA subspace a person; the smallest reconstruction error wins (6.1).
 
     Memory is linear in people and does not depend on how many exemplars there were.

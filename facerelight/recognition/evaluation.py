@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.classifiers import Classifier, GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
@@ -106,15 +106,15 @@ def evaluate_gallery(
         started = time.perf_counter()
         if base == "nearest_neighbor":
             metric = "cosine" if photometric else "l2"
-            classifier = NearestNeighborClassifier(metric, normalizer=normalizer).fit(training, people)
+            fitted: Classifier = NearestNeighborClassifier(metric, normalizer=normalizer).fit(training, people)
         elif base == "nearest_neighbor+exemplars":
-            classifier = NearestNeighborClassifier(normalizer=normalizer).fit(rows, owners)
+            fitted = NearestNeighborClassifier(normalizer=normalizer).fit(rows, owners)
         elif base == "global_pca":
-            classifier = GlobalPCAClassifier(40, normalizer=normalizer).fit(rows, owners)
+            fitted = GlobalPCAClassifier(40, normalizer=normalizer).fit(rows, owners)
         else:
             dimension = None if base == "individual_pca" else 9
-            classifier = IndividualPCAClassifier(dimension, normalizer=normalizer).fit(rows, owners)
-        found = classifier.predict(stack)
+            fitted = IndividualPCAClassifier(dimension, normalizer=normalizer).fit(rows, owners)
+        found = fitted.predict(stack)
         right = torch.tensor([a == b for a, b in zip(found, labels, strict=True)])
         tallies[name] = Tally(right, torch.cat(parts), time.perf_counter() - started)
     return tallies
