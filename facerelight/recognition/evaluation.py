@@ -55,10 +55,10 @@ def training_lights(faces: FaceImages, people: list[int], case: str, draws: int,
             free = [light for light in order if allowed[light]]
             gallery = {}
             for person in people:
-                light = next((x for x in free if valid[person, x]), None)
-                if light is not None:
-                    gallery[person] = light
-                    free.remove(light)
+                chosen = next((x for x in free if valid[person, x]), None)
+                if chosen is not None:
+                    gallery[person] = chosen
+                    free.remove(chosen)
             yield gallery
     else:
         raise ValueError(f"train light: expected front, side, same, random or random-mild, got {case!r}")
