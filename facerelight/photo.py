@@ -142,8 +142,10 @@ class PhotoRelighter:
         """The photo with its face lit from ``azimuth``, ``elevation`` (degrees): ``(H, W, 3)`` uint8 sRGB."""
         target = light_from_angles(float(azimuth), float(elevation))[None]
         relit = self.posterior.mean(target)[0, 0].clamp_min(0) * self.exposure
-        ratio = (relit / self.luminance.clamp_min(DARK)).clamp_max(LARGEST_RATIO)
-        rest = (relit - ratio * self.luminance).clamp_min(0)  # what no ratio can bring out of the dark
+        # Fine detail is the photo's own: the ratio is taken between slightly smoothed images.
+        smooth, base = kornia.filters.gaussian_blur2d(torch.stack((relit, self.luminance))[None], (9, 9), (1.5, 1.5))[0]
+        ratio = (smooth / base.clamp_min(DARK)).clamp_max(LARGEST_RATIO)
+        rest = (smooth - ratio * base).clamp_min(0)  # what no ratio can bring out of the dark
         ratio, rest, mask = self._to_photo(ratio, rest, self.mask)
         color = (self.linear * mask).sum((2, 3), keepdim=True)
         color = color / (color * torch.tensor(LUMA)[:, None, None]).sum(1, keepdim=True).clamp_min(1e-6)
@@ -213,8 +215,10 @@ def _face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
     centre = sample.median(1).values
     spread = (sample - centre[:, None]).abs().median(1).values.clamp_min(0.15) * 1.5
     distance = ((features - centre[:, None, None]) / spread[:, None, None]).clamp(-6, 6).square().sum(0).sqrt()
-    skin = (1 - (distance - 3) / 2).clamp(0, 1)
-    inner = ((0.72 - radius) / 0.15).clamp(0, 1).float()  # brows, eyes, lips and shadows inside belong to the face
+    skin = (1 - (distance - 2.5) / 1.5).clamp(0, 1)
+    unit = float(eyes[1, 0] - eyes[0, 0])
+    below_fringe = ((y - eyes[0, 1]) / unit + 0.5).div(0.15).clamp(0, 1)
+    inner = ((0.72 - radius) / 0.15).clamp(0, 1) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
     mask = torch.maximum(around * skin, inner)
     guide = brightness.clamp(0, 1).sqrt()
     smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
