@@ -1,4 +1,4 @@
-"""``facerelight train | relight``: the package from a terminal. Exit codes: 0 done, 1 nothing found, 2 bad input."""
+"""``facerelight train | relight | recognize``: the package from a terminal. Exit codes: 0 done, 1 nothing found, 2 bad input."""
 
 from __future__ import annotations
 
@@ -41,15 +41,27 @@ def _relight_parser() -> ArgumentParser:
     return parser
 
 
+def _recognize_parser() -> ArgumentParser:
+    parser = ArgumentParser(description="Enroll people from photos, and identify others among them.", exit_on_error=True)
+    parser.add_argument("gallery", type=str, help="gallery file (.safetensors) to write or to read")
+    parser.add_argument("--enroll", type=str | None, default=None, help="folder with NAME.jpg or NAME/*.jpg: make the gallery from it")
+    parser.add_argument("--photos", type=str, nargs="*", default=[], help="photos to identify")
+    parser.add_argument("--reject", type=float | None, default=None, help="largest relative error that is not a stranger")
+    parser.add_argument("--statistics", type=str | None, default=None, help="folder of trained statistics (default: the user's cache)")
+    parser.add_argument("--json", action="store_true", help="print the answers as JSON")
+    return parser
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line ``argv`` (default: the process's) and return its exit code."""
     parser = ArgumentParser(prog="facerelight", description=__doc__, version=_version())
     commands = parser.add_subcommands()
     commands.add_subcommand("train", _train_parser(), help="render heads and learn statistics")
     commands.add_subcommand("relight", _relight_parser(), help="relight a photo")
+    commands.add_subcommand("recognize", _recognize_parser(), help="recognise people from one photo each")
     try:
         arguments = parser.parse_args(None if argv is None else list(argv))
-        run = {"train": _train, "relight": _relight}[arguments.subcommand]
+        run = {"train": _train, "relight": _relight, "recognize": _recognize}[arguments.subcommand]
         return run(arguments[arguments.subcommand])
     except SystemExit as leaving:  # jsonargparse has said why
         return int(leaving.code or 0)
@@ -90,13 +102,7 @@ def _relight(arguments: Namespace) -> int:
 
     lights = _lights(arguments.azimuth, arguments.elevation)
     photo = read_photo(arguments.photo)
-    folder = Path(arguments.statistics) if arguments.statistics else default_statistics_folder()
-    if not arguments.statistics and not (folder / "statistics.safetensors").exists():
-        print("no default statistics yet: training them once (a minute or two)", file=sys.stderr)
-        from facerelight.training import train
-
-        train(TrainConfig(), folder)
-    relighter = StatisticalRelighter.from_pretrained(folder, arguments.covariance)
+    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics), arguments.covariance)
     landmarks = _landmarks(arguments.landmarks)
     session = PhotoRelighter(photo.rgb, landmarks, relighter)
     output = Path(arguments.output)
@@ -117,6 +123,45 @@ def _relight(arguments: Namespace) -> int:
     }
     print(json.dumps(report) if arguments.json else "\n".join(written))
     return 0
+
+
+def _recognize(arguments: Namespace) -> int:
+    from facerelight.recognition.gallery import Gallery, find_people
+    from facerelight.relighter import StatisticalRelighter
+
+    if not arguments.enroll and not arguments.photos:
+        raise ValueError("recognize: expected --enroll FOLDER, --photos FILE ..., or both")
+    people = find_people(arguments.enroll) if arguments.enroll else {}
+    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics))
+    if arguments.enroll:
+        gallery = Gallery(relighter)
+        for name, photos in people.items():
+            gallery.enroll(name, photos)
+        gallery.save(arguments.gallery)
+    else:
+        gallery = Gallery.load(arguments.gallery, relighter)
+    if arguments.reject is not None:
+        gallery.classifier.reject = -arguments.reject
+    answers = {photo: gallery.identify(photo) for photo in arguments.photos}
+    if arguments.json:
+        print(json.dumps({"enrolled": gallery.classifier.classes_, "answers": {k: v._asdict() for k, v in answers.items()}}))
+    else:
+        for photo, answer in answers.items():
+            print(f"{photo}: {answer.name or 'stranger'} (error {min(answer.errors.values()):.4f})")
+    return 1 if answers and all(answer.name is None for answer in answers.values()) else 0
+
+
+def _statistics_folder(given: str | None) -> Path:
+    """The folder asked for; by default the cached statistics, which are trained where there are none yet."""
+    if given:
+        return Path(given)
+    folder = default_statistics_folder()
+    if not (folder / "statistics.safetensors").exists():
+        print("no default statistics yet: training them once (a minute or two)", file=sys.stderr)
+        from facerelight.training import train
+
+        train(TrainConfig(), folder)
+    return folder
 
 
 def _lights(azimuth: list[float], elevation: list[float]) -> list[tuple[float, float]]:

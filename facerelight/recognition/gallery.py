@@ -1,0 +1,139 @@
+"""People enrolled from photographs on disk, and strangers' photographs identified among them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from facerelight.files import read_photo
+from facerelight.photo import PhotoRelighter
+from facerelight.recognition.classifiers import IndividualPCAClassifier
+from facerelight.recognition.exemplars import exemplar_lights, synthesize
+from facerelight.recognition.photometric import make_normalizer
+from facerelight.relighter import StatisticalRelighter
+
+__all__ = ["Gallery", "Identification", "find_people"]
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp")
+GALLERY_VERSION = 1
+
+
+class Identification(NamedTuple):
+    """``name``, None for a stranger; ``errors``: relative reconstruction error by name, smallest first."""
+
+    name: str | None
+    errors: dict[str, float]
+
+
+def find_people(folder: str | Path) -> dict[str, list[Path]]:
+    """Photos by name in either usual layout: ``people/NAME.jpg`` and ``people/NAME/*.jpg``.
+
+    Raises:
+        ValueError: no photos, or one name in both layouts.
+    """
+    folder = Path(folder)
+    people: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("*")):
+        photos = sorted(p for p in path.glob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else [path]
+        if path.is_file() and path.suffix.lower() not in SUFFIXES:
+            continue
+        name = path.name if path.is_dir() else path.stem
+        if not photos:
+            continue
+        if name in people:
+            raise ValueError(f"{folder}: expected one person of each name, got two called {name!r}")
+        people[name] = photos
+    if not people:
+        raise ValueError(f"{folder}: expected photos as NAME.jpg or NAME/*.jpg, found none")
+    return people
+
+
+class Gallery:
+    """Individual PCA subspaces (6.1) of relit photos, one a person.
+
+    Args:
+        relighter: renders each photo under the lights of :func:`exemplar_lights`.
+        photometric: "weber", "tan_triggs" or "none".
+        dimension: of each subspace.
+    """
+
+    def __init__(self, relighter: StatisticalRelighter, photometric: str = "weber", dimension: int = 9) -> None:
+        self.relighter, self.photometric, self.dimension = relighter, photometric, dimension
+        self.classifier = IndividualPCAClassifier(dimension, normalizer=make_normalizer(photometric))
+
+    def enroll(self, name: str, photos: list[Path]) -> None:
+        """Add a person from one or more photos, or replace them."""
+        lights, _ = exemplar_lights()
+        exemplars = []
+        for path in photos:
+            session = self._open(path)
+            exemplars += [self._inside(session, synthesize(session.posterior, lights)[0]), self._inside(session, session.luminance[None])]
+        self.classifier.partial_fit(torch.cat(exemplars), name)
+
+    def identify(self, photo: str | Path) -> Identification:
+        """Who is in ``photo``."""
+        session = self._open(Path(photo))
+        image = self._inside(session, session.luminance[None])
+        scores = self.classifier.decision_function(image)[0]
+        names = [str(name) for name in self.classifier.classes_ or []]
+        errors = sorted(zip((-scores).tolist(), names, strict=True))
+        best = self.classifier.predict(image)[0]
+        return Identification(None if best is None else str(best), {name: round(error, 5) for error, name in errors})
+
+    def _open(self, path: Path) -> PhotoRelighter:
+        try:
+            return PhotoRelighter(read_photo(path).rgb, None, self.relighter)
+        except RuntimeError as error:
+            raise ValueError(f"{path}: {error}") from error
+
+    @staticmethod
+    def _inside(session: PhotoRelighter, images: Tensor) -> Tensor:
+        """Leave hair and background out of the comparison."""
+        return images * (session.frame.oval() < 0.95)
+
+    def save(self, path: str | Path) -> None:
+        """Write ``path`` (safetensors) and beside it the names, as ``.json``."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        state = self.classifier
+        tensors = {"means": state.means, "bases": state.bases, "dimensions": state.dimensions}
+        header = {
+            "format": "facerelight-gallery",
+            "version": GALLERY_VERSION,
+            "names": state.classes_,
+            "photometric": self.photometric,
+            "dimension": self.dimension,
+            "reject": state.reject,
+        }
+        partial = path.with_name(path.name + ".part")
+        save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
+        notes = path.with_suffix(".json.part")
+        notes.write_text(json.dumps(header, indent=2))
+        partial.replace(path)
+        notes.replace(path.with_suffix(".json"))
+
+    @classmethod
+    def load(cls, path: str | Path, relighter: StatisticalRelighter) -> Gallery:
+        """Read what :meth:`save` wrote; a file that is missing, damaged or of another version is a ``ValueError``."""
+        path = Path(path)
+        try:
+            header = json.loads(path.with_suffix(".json").read_text())
+            tensors = load_file(path)
+            if header["format"] != "facerelight-gallery" or header["version"] != GALLERY_VERSION:
+                raise ValueError(f"expected version {GALLERY_VERSION}, got {header.get('version')}")
+            gallery = cls(relighter, header["photometric"], header["dimension"])
+            state = gallery.classifier
+            state.classes_, state.reject = header["names"], header["reject"]
+            state.means, state.bases, state.dimensions = (tensors[name] for name in ("means", "bases", "dimensions"))
+            height, width = relighter.statistics.size
+            if state.bases.shape[:2] != (len(header["names"]), height * width) or not torch.isfinite(state.bases).all():
+                raise ValueError(f"expected finite bases of {len(header['names'])} people at {height} x {width}, got {tuple(state.bases.shape)}")
+        except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
+            raise ValueError(f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`") from error
+        return gallery
