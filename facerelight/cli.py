@@ -10,7 +10,8 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser, Namespace
 
-from facerelight.config import DomainConfig, TrainConfig, default_statistics_folder
+from facerelight.bootstrap.skin import Domain
+from facerelight.config import TrainConfig, default_statistics_folder
 from facerelight.statistics import FitOptions
 
 __all__ = ["main"]
@@ -91,7 +92,7 @@ def _train(arguments: Namespace) -> int:
 def _config(arguments: Namespace) -> TrainConfig:
     values = {field.name: arguments[field.name] for field in fields(TrainConfig)}
     values["fit"] = FitOptions(**vars(values["fit"]))
-    values["domain"] = DomainConfig(**vars(values["domain"]))
+    values["domain"] = Domain(**vars(values["domain"]))
     return TrainConfig(**values)
 
 

@@ -12,22 +12,11 @@ from platformdirs import user_cache_path
 from torch import Tensor
 
 from facerelight.alignment import CropFrame
+from facerelight.bootstrap.skin import Domain
 from facerelight.lights import even_hemisphere, merge_repeats, thesis_grid
 from facerelight.statistics import FORMAT_VERSION, FitOptions
 
 __all__ = ["DEFAULT_CONFIG", "TrainConfig", "default_statistics_folder"]
-
-
-@dataclass(frozen=True)
-class DomainConfig:
-    """Settings of the rendered world; see :class:`facerelight.bootstrap.skin.Domain`, whose defaults these are."""
-
-    tone_low: float = 0.25
-    tone_high: float = 0.8
-    texture: float = 0.08
-    specular: float = 0.03
-    shininess: float = 12.0
-    fill: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -55,7 +44,7 @@ class TrainConfig:
     supersample: int = 1
     seed: int = 0
     effects: Literal["auto", "all"] = "auto"
-    domain: DomainConfig = field(default_factory=DomainConfig)
+    domain: Domain = field(default_factory=Domain)
     fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40, brightness=True))
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Prior mean and covariance of a pixel under any lights (3.16), valid by construction (DESIGN 4.1).
+"""Prior mean and covariance of a pixel under any lights (3.16), valid by construction.
 
 The deviation's correlation between lights p and q is ``w(p)^T R w(q)`` with R learned, plus ``sqrt(1-rho(p,p)) sqrt(1-rho(q,q)) k(|p - q|)``:
 unit diagonal, semidefinite for any set of lights, and 1 where two lights meet.

@@ -1,4 +1,4 @@
-"""What is known of one face after its images are seen: condition once, render any light at the cost of linear algebra (DESIGN 4.3)."""
+"""What is known of one face after its images are seen: condition once, render any light at the cost of linear algebra."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class PersonPosterior:
         share *= gain
         self.n_map += share * statistics.n_mean.flatten(1)
         self.v_map += share * statistics.v_mean.flatten(1)
-        # n_MAP and b of DESIGN 4.3, averaged over the hypotheses
+        # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)
         self.n_map += share * torch.einsum("dcp,ecp,kp,ke->dp", root, root, solved, lights)
         learned = pixel.v_factor.flatten(2)
@@ -165,7 +165,7 @@ class PersonPosterior:
 
 
 def _face_code(inputs: Tensor, whitened: Tensor, temper: float, visible: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Posterior mean ``(k, 1)`` of the whole-face code and a factor ``(k, k)`` of its covariance, the likelihood tempered (DESIGN 4.7)."""
+    """Posterior mean ``(k, 1)`` of the whole-face code and a factor ``(k, k)`` of its covariance, the likelihood tempered."""
     if visible is not None:
         inputs, whitened = inputs * visible[:, None, None].sqrt(), whitened * visible[:, None, None].sqrt()
     design = inputs.flatten(0, 1)  # (P K, k)

@@ -44,7 +44,7 @@ class FitOptions:
     """How statistics are learned.
 
     Args:
-        rank: columns of the correlation factor of v over the lights (DESIGN: 8 holds 89 %, 16 holds 97 % on real faces).
+        rank: columns of the correlation factor of v over the lights (8 hold 89 % of its trace on real faces, 16 hold 97 %).
         face_rank: loadings of the whole-face model; 0 leaves it out.
         basis: functions over the lights that the loadings of v share.
         temper: how many pixels count as one independent observation of the whole-face code.
@@ -102,7 +102,7 @@ class PixelStatistics(nn.Module):
 
 
 class FaceLoadings(nn.Module):
-    """The low-rank part of the whole-face model (DESIGN 4.7): ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``, ``c ~ N(0, I_k)``.
+    """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``, ``c ~ N(0, I_k)``.
 
     Buffers: ``n (k, 3, H, W)``; ``v (k, m, H, W)``, loadings of v in a basis over the lights; ``basis (m, J)``; ``v_power (J, H, W)``, the
     variance that the loadings give v at each light; ``temper ()``. ``residual`` holds the per-pixel statistics of e.

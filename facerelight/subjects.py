@@ -147,7 +147,7 @@ def measure_brightness(grams: Grams, fill: dict[int, Tensor]) -> Brightness:
 
 
 def face_operators(gram: Tensor, rank: int) -> FaceOperators:
-    """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects (DESIGN 4.7).
+    """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects.
 
     Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out: its residual is what
     the others' components leave of it, and each loading is scaled by the spread of the left-out subjects' scores. At rank 0 the residual

@@ -29,7 +29,6 @@ def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # import
     """The :class:`~facerelight.bootstrap.generate.BootstrapDataset` of a config."""
     from facerelight.bootstrap.generate import BootstrapDataset
     from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads, MeshFolder
-    from facerelight.bootstrap.skin import Domain
 
     source: HeadSource
     if config.source == "makehuman":
@@ -42,8 +41,9 @@ def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # import
         source = IctHeads(config.source, config.seed)
     else:
         raise ValueError(f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}")
-    domain = Domain(**asdict(config.domain))
-    return BootstrapDataset(source, config.heads, config.directions(), config.frame, domain, config.seed, config.effects, config.supersample)
+    return BootstrapDataset(
+        source, config.heads, config.directions(), config.frame, config.domain, config.seed, config.effects, config.supersample
+    )
 
 
 def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False) -> dict[str, object]:
