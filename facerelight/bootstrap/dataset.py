@@ -72,12 +72,10 @@ def load_pie(path: str | Path) -> FaceImages:
     data = _open_npz(Path(path), ("images", "subject", "flash", "flash_ids", "flash_est_azimuth_deg", "flash_est_elevation_deg"))
     place = {int(flash): i for i, flash in enumerate(data["flash_ids"])}
     order = np.array([place[int(flash)] for flash in data["flash"]])
-    angles = np.stack((data["flash_est_azimuth_deg"], data["flash_est_elevation_deg"]), 1)[order]
     images = torch.from_numpy(data["images"]).float() / 255
     people, subject = np.unique(data["subject"], return_inverse=True)
     table = torch.from_numpy(np.stack((data["flash_est_azimuth_deg"], data["flash_est_elevation_deg"]), 1)).float()
     lights = light_from_angles(table[:, 0], table[:, 1])
-    del angles
     return FaceImages(
         images,
         torch.from_numpy(subject),
