@@ -156,13 +156,9 @@ def _statistics_folder(given: str | None) -> Path:
     """The folder asked for; by default the cached statistics, which are trained where there are none yet."""
     if given:
         return Path(given)
-    folder = default_statistics_folder()
-    if not (folder / "statistics.safetensors").exists():
-        print("no default statistics yet: training them once (a minute or two)", file=sys.stderr)
-        from facerelight.training import train
+    from facerelight.training import trained_folder
 
-        train(TrainConfig(), folder)
-    return folder
+    return trained_folder(TrainConfig())
 
 
 def _lights(azimuth: list[float], elevation: list[float]) -> list[tuple[float, float]]:

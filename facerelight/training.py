@@ -16,13 +16,13 @@ import torch
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
-from facerelight.config import TrainConfig
+from facerelight.config import TrainConfig, default_statistics_folder
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 from facerelight.store import ImageStore
 
-__all__ = ["make_dataset", "train"]
+__all__ = ["make_dataset", "train", "trained_folder"]
 
 
 def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # imports OpenGL only when called
@@ -101,6 +101,15 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2))
     return report
+
+
+def trained_folder(config: TrainConfig) -> Path:
+    """The cached statistics of ``config``; trained now, and said so, where there are none yet."""
+    folder = default_statistics_folder(config)
+    if not (folder / "statistics.safetensors").exists():
+        print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
+        train(config, folder)
+    return folder
 
 
 def _start_images(folder: Path, config: TrainConfig) -> None:

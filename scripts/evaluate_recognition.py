@@ -31,15 +31,12 @@ def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args:
 def rendered(args: argparse.Namespace) -> StatisticalRelighter:
     from dataclasses import replace
 
-    from facerelight.config import TrainConfig, default_statistics_folder
-    from facerelight.training import train
+    from facerelight.config import TrainConfig
+    from facerelight.training import trained_folder
 
     fit = FitOptions(face_rank=40, brightness=True)
     config = replace(TrainConfig(height=args.height, width=args.width, margin=0.0), fit=fit)
-    folder = default_statistics_folder(config)
-    if not (folder / "statistics.safetensors").exists():
-        train(config, folder)
-    return StatisticalRelighter.from_pretrained(folder, args.covariance)
+    return StatisticalRelighter.from_pretrained(trained_folder(config), args.covariance)
 
 
 def as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:

@@ -13,20 +13,17 @@ from pathlib import Path
 import torch
 
 from facerelight.bootstrap.dataset import load_yale
-from facerelight.config import TrainConfig, default_statistics_folder
+from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
 def synthetic_statistics(height: int, width: int, heads: int, options: FitOptions) -> FaceStatistics:
     """Statistics of rendered heads at the canonical crop, trained once and cached."""
-    from facerelight.training import train
+    from facerelight.training import trained_folder
 
     config = replace(TrainConfig(heads=heads, height=height, width=width, margin=0.0), fit=options)
-    folder = default_statistics_folder(config)
-    if not (folder / "statistics.safetensors").exists():
-        train(config, folder)
-    return FaceStatistics.load(folder / "statistics.safetensors")
+    return FaceStatistics.load(trained_folder(config) / "statistics.safetensors")
 
 
 def main() -> int:
