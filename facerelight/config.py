@@ -41,7 +41,7 @@ class TrainConfig:
     height: int = 128
     width: int = 112
     margin: float = 0.25
-    supersample: int = 1
+    supersample: int = 2
     seed: int = 0
     effects: Literal["auto", "all"] = "auto"
     domain: Domain = field(default_factory=Domain)

@@ -21,7 +21,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--heads", type=int, default=5)
     parser.add_argument("--lights", type=int, default=40)
-    parser.add_argument("--supersample", type=int, default=1)
+    parser.add_argument("--supersample", type=int, default=DEFAULT_CONFIG.supersample)
     args = parser.parse_args()
     torch.set_num_threads(1)
     lights = even_hemisphere(args.lights)

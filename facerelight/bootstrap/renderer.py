@@ -7,6 +7,7 @@ Nothing else in the package touches OpenGL.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from pathlib import Path
@@ -196,7 +197,8 @@ class MeshRenderer:
 
     def _render(self, renderer: _FloatRenderer, scene: pyrender.Scene) -> tuple[np.ndarray, ...]:
         self._context.make_current()
-        return renderer.render(scene, pyrender.RenderFlags.FLAT | pyrender.RenderFlags.OFFSCREEN)
+        flags = pyrender.RenderFlags.FLAT | pyrender.RenderFlags.OFFSCREEN
+        return renderer.render(scene, flags if renderer.targets else flags | pyrender.RenderFlags.DEPTH_ONLY)
 
     def close(self) -> None:
         """Release the OpenGL context; other renderers of the process keep theirs (pyrender's own clean-up would end them all)."""
@@ -229,10 +231,9 @@ def _scene(vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray, fea
 
 def _look_along(direction: np.ndarray, distance: float) -> np.ndarray:
     """Pose of a camera at ``distance`` along the unit vector ``direction``, looking back at the origin."""
-    up = np.array([0.0, 1.0, 0.0]) if abs(direction[1]) < 0.99 else np.array([0.0, 0.0, 1.0])
-    right = np.cross(up, direction)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(direction, right), direction
-    pose[:3, 3] = distance * direction
-    return pose
+    x, y, z = direction.tolist()
+    right = (z, 0.0, -x) if abs(y) < 0.99 else (-y, x, 0.0)  # up x direction, with y or else z as up
+    a, b, c = (component / math.hypot(*right) for component in right)
+    up = (y * c - z * b, z * a - x * c, x * b - y * a)
+    columns = np.array(((a, b, c), up, (x, y, z), (distance * x, distance * y, distance * z)))
+    return np.concatenate((columns.T, ((0.0, 0.0, 0.0, 1.0),)))

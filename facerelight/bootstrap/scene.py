@@ -22,36 +22,40 @@ from facerelight.bootstrap.skin import Look, Material, paint
 __all__ = ["EFFECTS", "EffectPlan", "Surface", "plan_effects", "shade", "view_surface"]
 
 EFFECTS = ("attached", "cast", "specular", "ambient")
-RELIEF_SIZE = 64  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
-NEAR_CELLS = 2  # within so many cells occlusion is judged by slope, beyond by height
+RELIEF_SIZE = 256  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
+NEAR_CELLS = 6  # within so many cells occlusion is judged by slope, beyond by height
+AROUND = np.ones((5, 5), np.uint8)  # rounding of places to cells, and the soft edge of a shadow
 FRESNEL = 0.04  # reflectance of skin at normal incidence
 SMALL = 1e-6  # radiance that cannot matter
 GRAZING = 0.36  # cosine
 IN_FRONT = 0.02  # z of the lights for which what hides a point stands in front of it
 BELOW = -1e4  # a height below everything
 ON_AXIS = 1e-3  # lights closer to the camera axis than this hide nothing that the camera sees
-STEEPEST = 1.3  # steeper relief than this may be hidden in part by its own edge, whatever the light
+SOFTNESS = 2  # texels to each side that soften a shadow's edge
+STEEPEST = 1.3  # relief that rises more than this towards the light may be hidden in part by its own edge
+CLIFF = 2.5  # steeper relief than this may be, whatever the light's direction
 
 
 class Relief(NamedTuple):
-    """The head's front as a height map over all of it, in cells; bounds what can stand between a visible point and a light.
+    """The head's front as a height map in cells; bounds what can stand between a visible point and a light.
 
-    ``highest, lowest (R, C)`` of each cell; ``slope (4, R, C)``, its steepest rise towards +x, -x, +y and -y; ``step``, a cell's side in
-    pixels; ``corner (2,)``, row and column of the first cell in the whole map.
+    ``highest (R, C)`` of each cell and those around it; ``slope (4, R, C)``, its steepest rise towards +x, -x, +y and -y; ``cliff
+    (R, C)``, where it is steep in any direction; ``step``, a cell's side in mesh units; ``corner (2,)``, column and row of the map's
+    origin, counted from the first cell; ``radius``, cells from there to the farthest visible pixel.
     """
 
     highest: np.ndarray
-    lowest: np.ndarray
     slope: np.ndarray
+    cliff: np.ndarray
     step: float
-    corner: tuple[int, int]
+    corner: tuple[float, float]
+    radius: int
 
 
 class Surface(NamedTuple):
     """What the camera sees of a painted head, at its P visible pixels.
 
-    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; the head's :class:`Relief`, and in which of
-    its cells each pixel lies, ``cell (P,)``.
+    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; and the head's :class:`Relief`.
     """
 
     position: Tensor
@@ -60,7 +64,6 @@ class Surface(NamedTuple):
     pixel: Tensor
     size: tuple[int, int]
     relief: Relief
-    cell: Tensor
 
 
 class EffectPlan(NamedTuple):
@@ -80,36 +83,31 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     pixel = inside.flatten().nonzero()[:, 0]
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
-    relief = _map_relief(renderer, head)
-    column = ((position[:, 0] / renderer.extent + 1) * RELIEF_SIZE / 2).long() - relief.corner[1]
-    row = ((1 - position[:, 1] / renderer.extent) * RELIEF_SIZE / 2).long() - relief.corner[0]
-    rows, columns = relief.highest.shape
-    cell = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
-    return Surface(position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), relief, cell)
+    return Surface(position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position))
 
 
-def _map_relief(renderer: MeshRenderer, head: Head) -> Relief:
-    """The relief seen along the camera axis, pooled from a depth pass over the whole head."""
+def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
+    """The relief seen along the camera axis, pooled from a depth pass over the whole head; ``position`` of the visible pixels."""
     factor = renderer.shadow_size // RELIEF_SIZE
     texel = 2 * renderer.extent / renderer.shadow_size
     step = factor * texel
-    low, high = head.vertices[:, :2].min(0), head.vertices[:, :2].max(0)
-    left, right = (int(np.clip((x / renderer.extent + 1) * RELIEF_SIZE / 2, 1, RELIEF_SIZE - 2)) for x in (low[0], high[0]))
-    top, bottom = (int(np.clip((1 - y / renderer.extent) * RELIEF_SIZE / 2, 1, RELIEF_SIZE - 2)) for y in (high[1], low[1]))
-    left, top, right, bottom = left - 1, top - 1, right + 2, bottom + 2
+    low, high = head.vertices[:, :2].min(0) / step, head.vertices[:, :2].max(0) / step
+    edges = [int(np.clip(np.floor(edge) + RELIEF_SIZE // 2, 1, RELIEF_SIZE - 2)) for edge in (low[0], -high[1], high[0], -low[1])]
+    left, top, right, bottom = edges[0] - 1, edges[1] - 1, edges[2] + 2, edges[3] + 2
     window = (left * factor, top * factor, (right - left) * factor, (bottom - top) * factor)
     fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())  # every other texel bounds well enough
     factor, texel = factor // 2, 2 * texel
     pool = torch.nn.functional.max_pool2d
     solid = fine > -5 * renderer.extent
-    highest = pool(fine[None], factor)[0]
-    lowest = -pool((-fine).masked_fill(~solid, BELOW)[None], factor)[0]
+    highest = cv2.dilate(pool(fine[None], factor)[0].numpy(), AROUND)
     # A step down to where nothing is hides nothing from the surface beside it.
     along_x = (fine.diff(dim=1) / texel).masked_fill(~(solid[:, 1:] & solid[:, :-1]), 0.0)
     along_y = (-fine.diff(dim=0) / texel).masked_fill(~(solid[1:] & solid[:-1]), 0.0)
     pad = torch.nn.functional.pad
     slope = torch.stack([pool(sign * axis[None], factor)[0] for axis in (pad(along_x, (0, 1)), pad(along_y, (0, 0, 0, 1))) for sign in (1, -1)])
-    return Relief(highest.numpy(), lowest.numpy(), slope.numpy(), step, (top, left))
+    radius = int(torch.linalg.vector_norm(position[:, :2], dim=1).max() / step) + 2
+    cliff = torch.hypot(slope[:2].amax(0), slope[2:].amax(0)) > CLIFF
+    return Relief(highest, slope.numpy(), cliff.numpy(), step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius)
 
 
 def plan_effects(surface: Surface, light: Tensor, material: Material, effects: str | Iterable[str] = "auto") -> EffectPlan:
@@ -155,7 +153,7 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
 
     A ray towards a light in front of the face rises ``slope`` for every unit it moves sideways, and all of the head lies at or below the
     visible relief. So a point can be hidden only where, on its way, the relief climbs faster than that nearby, or stands higher than the
-    ray farther off; both are found for all cells at once by shifting the relief against the light, step by step.
+    ray farther off. The relief is turned so that its rows run towards the light; a running maximum along them then finds both.
     """
     relief = surface.relief
     sideways = float(torch.linalg.vector_norm(light[:2]))
@@ -165,37 +163,30 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
         return torch.zeros_like(lit)
     slope = float(light[2]) / sideways
     x, y = (light[:2] / sideways).tolist()
-    climb = relief.slope[0 if x > 0 else 1] * abs(x) + relief.slope[2 if y > 0 else 3] * abs(y)
+    climb = relief.slope[0 if x > 0 else 1] * np.float32(abs(x)) + relief.slope[2 if y > 0 else 3] * np.float32(abs(y))
     grazing = slope - GRAZING / sideways * np.sqrt(1 + climb**2)  # facets that face the light by less than this may shade themselves
-    steep = np.where(climb >= np.minimum(grazing, STEEPEST), 0, BELOW).astype(np.float32)
-    drop = relief.step * slope
-    depth = relief.highest.max() - float(surface.position[:, 2].min())
-    reach = min(RELIEF_SIZE, NEAR_CELLS + 2 + int(depth / drop))
-    near = _sweep(steep, x, y, range(NEAR_CELLS + 1), 0.0) >= 0
-    far = _sweep(relief.highest, x, y, range(NEAR_CELLS, reach), drop) >= relief.lowest
-    receivers = cv2.dilate((near | far).astype(np.uint8), np.ones((3, 3), np.uint8))  # the soft edge of a shadow
-    return lit & torch.from_numpy(receivers.ravel()).bool()[surface.cell]
-
-
-def _sweep(image: np.ndarray, x: float, y: float, steps: range, drop: float) -> np.ndarray:
-    """Largest value met at ``steps`` cells in direction (x, y), less ``drop`` a cell; cells are rounded so that it is never too small."""
-    around = cv2.dilate(image, np.ones((3, 3), np.uint8))
-    largest = np.full_like(image, BELOW)
-    for k in steps:
-        np.maximum(largest, _shift(around, k * x, k * y) - np.float32(drop * max(k - 1, 0)), out=largest)
-    return largest
-
-
-def _shift(image: np.ndarray, x: float, y: float) -> np.ndarray:
-    """``image`` read ``x`` cells to the right and ``y`` cells up, rounded; what lies outside is below everything."""
-    columns, rows = round(x), -round(y)
-    moved = np.full_like(image, BELOW)
-    height, width = image.shape
-    if abs(columns) < width and abs(rows) < height:
-        here = slice(max(0, -rows), height - max(0, rows)), slice(max(0, -columns), width - max(0, columns))
-        there = slice(max(0, rows), height + min(0, rows)), slice(max(0, columns), width + min(0, columns))
-        moved[here] = image[there]
-    return moved
+    steep = cv2.dilate(((climb >= np.minimum(grazing, STEEPEST)) | relief.cliff).astype(np.uint8), AROUND)
+    # the turned map: columns towards the light, rows across; the visible pixels are all in it
+    column, row = relief.corner
+    rows, columns = relief.highest.shape
+    reach = int(np.hypot(max(column, columns - column), max(row, rows - row)) + 1)
+    size = (relief.radius + reach, 2 * relief.radius + 1)
+    origin = relief.radius
+    turn = np.array(((x, -y, column - origin * (x - y)), (-y, -x, row + origin * (x + y))))
+    turned = cv2.warpAffine(relief.highest, turn, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=BELOW)
+    above_ray = turned - np.float32(relief.step * slope) * np.arange(size[0], dtype=np.float32)
+    highest = np.maximum.accumulate(above_ray[:, ::-1], axis=1)[:, ::-1]
+    near = cv2.warpAffine(steep, turn, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    nearby = np.zeros((1, 2 * NEAR_CELLS + 1), np.uint8)
+    nearby[0, NEAR_CELLS - 1 :] = 1
+    near = cv2.dilate(near, nearby)
+    # each visible pixel, in the turned map
+    place = surface.position @ torch.tensor(((x, -y, 0.0), (y, x, 0.0), (0.0, 0.0, 1.0)))
+    toward = place[:, 0] / relief.step + origin
+    line = (place[:, 1] / relief.step + origin).round().long() * size[0]
+    far = torch.from_numpy(np.ascontiguousarray(highest)).flatten()[line + (toward + NEAR_CELLS).round().long().clamp_max(size[0] - 1)]
+    above = far > place[:, 2] - relief.step * slope * (toward + 1)
+    return lit & (above | torch.from_numpy(near).bool().flatten()[line + toward.round().long()])
 
 
 def _half(light: Tensor) -> Tensor:
@@ -219,7 +210,7 @@ def shade(
     arriving = facing * light_seen
     radiance = surface.albedo * arriving
     if "specular" in plan.effects:
-        where = plan.specular
+        where = plan.specular.nonzero()[:, 0]
         half = _half(light)
         lobe = (surface.normal[where] @ half).clamp_min(0) ** material.shininess * (material.shininess + 8) / 8
         fresnel = 1 + (1 / FRESNEL - 1) * (1 - half[2]) ** 5
@@ -239,44 +230,49 @@ def shade(
 
 
 def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: MeshRenderer) -> Tensor:
-    """How much of the light reaches the pixels ``plan.cast``, 0 to 1: percentage-closer filtering over 3 x 3 texels of a depth pass."""
+    """How much of the light reaches the pixels ``plan.cast``, 0 to 1: percentage-closer filtering of a depth pass.
+
+    The filter, five texels across, gives shadows the soft edge that a lamp of finite size gives them.
+    """
     if float(torch.linalg.vector_norm(light[:2])) < ON_AXIS and float(light[2]) > 0:
         return torch.ones(int(plan.cast.sum()))  # the camera's own view: what it sees, the light sees
     size, texel = renderer.shadow_size, 2 * renderer.extent / renderer.shadow_size
     direction = light.numpy().astype(np.float64)
-    local = surface.position[plan.cast] @ torch.from_numpy(renderer.light_frame(direction)).T
+    cast = plan.cast.nonzero()[:, 0]
+    local = surface.position[cast] @ torch.from_numpy(renderer.light_frame(direction)).T
     column = (local[:, 0] / renderer.extent + 1) * size / 2 - 0.5
     row = (1 - local[:, 1] / renderer.extent) * size / 2 - 0.5
-    left, top = (int(axis.amin().clamp(2, size - 3)) - 2 for axis in (column, row))
-    right, bottom = (int(axis.amax().clamp(2, size - 3)) + 3 for axis in (column, row))
-    exhaustive = bool(plan.cast.all())
+    margin = SOFTNESS + 1
+    left, top = (int(axis.amin().clamp(margin, size - 1 - margin)) - margin for axis in (column, row))
+    right, bottom = (int(axis.amax().clamp(margin, size - 1 - margin)) + margin + 1 for axis in (column, row))
+    exhaustive = len(cast) == len(plan.cast)
     if exhaustive:  # everything, everywhere
         left, top, right, bottom = 0, 0, size, size
     height = renderer.heights(direction, (left, top, right - left, bottom - top))
-    cosine = (surface.normal[plan.cast] @ light).clamp(0.05, 1)
-    least = local[:, 2] + texel * (6.0 + 2.5 * (1 - cosine**2).sqrt() / cosine)  # what hides a point stands higher than this
+    cosine = (surface.normal[cast] @ light).clamp(0.05, 1)
+    least = local[:, 2] + texel * (6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine)  # what hides a point stands higher than this
     row, column = row - top, column - left
+    if exhaustive:
+        return _filtered(torch.from_numpy(height), row, column, least, texel)
+    # most points have nothing above them in any of the texels
+    highest = torch.from_numpy(cv2.dilate(height, np.ones((2 * SOFTNESS + 1, 2 * SOFTNESS + 1), np.uint8)))
+    doubt = (highest.flatten()[row.round().long() * height.shape[1] + column.round().long()] > least).nonzero()[:, 0]
     light_seen = torch.ones_like(row)
-    doubt = torch.arange(len(row))
-    if not exhaustive:  # most points have nothing above them in any of the nine texels
-        highest = torch.from_numpy(cv2.dilate(height, np.ones((3, 3), np.uint8)))
-        doubt = (highest[row.round().long(), column.round().long()] > least).nonzero()[:, 0]
     light_seen[doubt] = _filtered(torch.from_numpy(height), row[doubt], column[doubt], least[doubt], texel)
     return light_seen
 
 
 def _filtered(height: Tensor, row: Tensor, column: Tensor, least: Tensor, texel: float) -> Tensor:
-    """Percentage-closer filter: the share of 3 x 3 texels around each point whose height does not exceed ``least``, softened over a texel."""
-    taps = torch.tensor((-1.0, 0.0, 1.0))[:, None]
-    rows, columns = row.round() + taps, column.round() + taps  # (3, P)
-    weight = _spline(rows - row)[:, None] * _spline(columns - column)[None]
+    """Percentage-closer filter: the share of the texels around each point whose height does not exceed ``least``, softened over a texel."""
+    taps = torch.arange(-SOFTNESS, SOFTNESS + 1.0)[:, None]
+    rows, columns = row.round() + taps, column.round() + taps  # (5, P)
+    weight = _box(rows - row)[:, None] * _box(columns - column)[None]
     i = rows.clamp(0, height.shape[0] - 1).long() * height.shape[1]
     j = columns.clamp(0, height.shape[1] - 1).long()
     above = height.flatten()[i[:, None] + j[None]] - least
     return (weight * (1 - above / texel).clamp(0, 1)).sum((0, 1))
 
 
-def _spline(distance: Tensor) -> Tensor:
-    """Quadratic B-spline; over the three texels nearest to a point its values sum to 1."""
-    distance = distance.abs()
-    return torch.where(distance < 0.5, 0.75 - distance**2, 0.5 * (1.5 - distance).clamp_min(0) ** 2)
+def _box(distance: Tensor) -> Tensor:
+    """A box of 2 SOFTNESS texels with ramps of one texel; over the texels nearest to a point its values sum to 1."""
+    return (SOFTNESS + 0.5 - distance.abs()).clamp(0, 1) / (2 * SOFTNESS)
