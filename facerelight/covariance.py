@@ -52,15 +52,18 @@ def prior_mean(statistics: FaceStatistics, lights: Tensor) -> Tensor:
 
 
 def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
-    """Covariance of the intensities under lights a and b, pixel by pixel: ``s_a^T C_n s_b + cov v`` (3.16), ``(P, A, B)``."""
+    """Covariance of the intensities under lights a and b, pixel by pixel: ``s_a^T C_n s_b + cov v`` (3.16), ``(P, A, B)`` float64.
+
+    Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
+    """
     root = pixel.n_factor.flatten(2)  # (3, 3, P)
-    normal = torch.einsum("cap,cbp->pab", *(torch.einsum("ld,dcp->clp", t.light, root) for t in (a, b)))
+    normal = torch.einsum("cap,cbp->pab", *(torch.einsum("ld,dcp->clp", t.light, root).double() for t in (a, b)))
     unique = 1 - pixel.v_factor.flatten(2).square().sum(1)  # (J, P)
     paired = (a.weights[:, None] * b.weights[None]).flatten(0, 1) @ unique  # (A B, P)
-    paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std[:, None] * b.std[None]
-    narrow = a.narrow[:, None] * b.narrow[None] + a.lost[:, None] * b.lost[None]
-    narrow = narrow * statistics.nugget(a.light, b.light)[..., None]
-    return normal + torch.einsum("arp,brp->pab", a.factor, b.factor) + (paired + narrow).permute(2, 0, 1)
+    paired = paired.double().unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
+    narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
+    narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]
+    return normal + torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
 
 
 def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:

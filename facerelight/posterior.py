@@ -83,18 +83,20 @@ class PersonPosterior:
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
             self._explain(code[:, 0].to(observed), share * gain)
-        solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T.to(observed)  # g, (K, P)
+        solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T  # g, (K, P)
         self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
         share *= gain
         self.n_map += share * statistics.n_mean.flatten(1)
         self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)
-        self.n_map += share * torch.einsum("dcp,ecp,kp,ke->dp", root, root, solved, lights)
+        facing = (lights.double().T @ solved).to(observed)  # S g, (3, P)
+        self.n_map += share * torch.einsum("dcp,ecp,ep->dp", root, root, facing)
         learned = pixel.v_factor.flatten(2)
         unique = 1 - learned.square().sum(1)
-        shared = (terms.factor * solved[:, None]).sum(0)  # (r, P)
-        self.pull += share * ((learned * shared).sum(1) + unique * (terms.weights.T @ (terms.std * solved)))
+        shared = (terms.factor * solved[:, None]).sum(0).to(observed)  # (r, P)
+        own = (terms.weights.double().T @ (terms.std * solved)).to(observed)  # (J, P)
+        self.pull += share * ((learned * shared).sum(1) + unique * own)
 
     def _gain(self, observed: Tensor, expected: Tensor, weights: Tensor) -> float:
         """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as its noise demands."""
@@ -123,9 +125,9 @@ class PersonPosterior:
             near = kernel.amax(1) > NEAR
             if near.any():
                 terms = light_terms(self.statistics, self.pixel, targets[near], self.face)
-                narrow = terms.narrow * (kernel[near] @ (evidence.terms.narrow * evidence.solved))
-                lost = terms.lost * (kernel[near] @ (evidence.terms.lost * evidence.solved))
-                image[near] += evidence.gain * (1 - self.prior_share) / len(self.evidence) * (narrow + lost)
+                narrow = terms.narrow * (kernel[near].double() @ (evidence.terms.narrow * evidence.solved))
+                lost = terms.lost * (kernel[near].double() @ (evidence.terms.lost * evidence.solved))
+                image[near] += evidence.gain * (1 - self.prior_share) / len(self.evidence) * (narrow + lost).to(image)
         return image
 
     def variance(self, targets: Tensor) -> Tensor:
@@ -134,7 +136,7 @@ class PersonPosterior:
 
     def _variance(self, target: Tensor) -> Tensor:
         terms = light_terms(self.statistics, self.pixel, target, self.face)
-        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0].double()  # (P, 1)
+        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0]  # (P, 1)
         outputs = None
         if self.face is not None:
             outputs = loadings_at(self.statistics, self.face, target).double()[0].T  # (P, k)
@@ -145,10 +147,10 @@ class PersonPosterior:
         within = torch.zeros_like(prior[:, 0])
         first, second = torch.zeros_like(within), torch.zeros_like(within)
         for index, evidence in enumerate(self.evidence):
-            cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms).double()  # (P, K, 1)
+            cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms)  # (P, K, 1)
             whitened = gaussian.solve_lower(evidence.cholesky, cross)
             variance = prior[:, 0] - whitened.square().sum((1, 2))
-            shift = average + (cross[..., 0] * evidence.solved.double().T).sum(-1)
+            shift = average + (cross[..., 0] * evidence.solved.T).sum(-1)
             if outputs is not None and evidence.inputs is not None:
                 code, spread = self.codes[index]
                 left = outputs - (whitened * evidence.inputs).sum(1)  # D, (P, k)
