@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -16,7 +17,7 @@ from facerelight.bootstrap.skin import Domain
 from facerelight.lights import even_hemisphere, merge_repeats, thesis_grid
 from facerelight.statistics import FORMAT_VERSION, FitOptions
 
-__all__ = ["DEFAULT_CONFIG", "TrainConfig", "default_statistics_folder"]
+__all__ = ["DEFAULT_CONFIG", "TrainConfig", "cache_folder", "default_statistics_folder"]
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,11 @@ class TrainConfig:
 DEFAULT_CONFIG = TrainConfig()
 
 
-def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path:
-    """Where the statistics of ``config`` are cached: ``cache``, else the user's cache folder (``FACERELIGHT_CACHE`` overrides it)."""
-    import os
+def cache_folder() -> Path:
+    """The package's folder in the user's cache; the environment variable FACERELIGHT_CACHE overrides it."""
+    return Path(os.environ.get("FACERELIGHT_CACHE") or user_cache_path("facerelight"))
 
-    base = cache or os.environ.get("FACERELIGHT_CACHE") or user_cache_path("facerelight")
-    return Path(base) / "statistics" / config.key()
+
+def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path:
+    """Where the statistics of ``config`` are cached, under ``cache`` (default: :func:`cache_folder`)."""
+    return Path(cache or cache_folder()) / "statistics" / config.key()

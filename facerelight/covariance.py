@@ -13,7 +13,7 @@ from torch import Tensor
 
 from facerelight.statistics import FaceLoadings, FaceStatistics, PixelStatistics
 
-__all__ = ["LightTerms", "image_covariance", "light_terms", "loadings_at", "prior_mean"]
+__all__ = ["LightTerms", "deviation_covariance", "image_covariance", "light_terms", "loadings_at", "prior_mean"]
 
 
 class LightTerms(NamedTuple):
@@ -51,19 +51,24 @@ def prior_mean(statistics: FaceStatistics, lights: Tensor) -> Tensor:
     return lights @ statistics.n_mean.flatten(1) + statistics.weights(lights) @ statistics.v_mean.flatten(1)
 
 
-def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
-    """Covariance of the intensities under lights a and b, pixel by pixel: ``s_a^T C_n s_b + cov v`` (3.16), ``(P, A, B)`` float64.
+def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
+    """Covariance of the deviation v between lights a and b, pixel by pixel (4.6), completed; ``(P, A, B)`` float64.
 
     Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
     """
-    root = pixel.n_factor.flatten(2)  # (3, 3, P)
-    normal = torch.einsum("cap,cbp->pab", *(torch.einsum("ld,dcp->clp", t.light, root).double() for t in (a, b)))
     unique = 1 - pixel.v_factor.flatten(2).square().sum(1)  # (J, P)
     paired = (a.weights[:, None] * b.weights[None]).flatten(0, 1) @ unique  # (A B, P)
     paired = paired.double().unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
     narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
     narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]
-    return normal + torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
+    return torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
+
+
+def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
+    """Covariance of the intensities under lights a and b: ``s_a^T C_n s_b + cov v`` (3.16), ``(P, A, B)`` float64."""
+    root = pixel.n_factor.flatten(2)  # (3, 3, P)
+    normal = torch.einsum("cap,cbp->pab", *(torch.einsum("ld,dcp->clp", t.light, root).double() for t in (a, b)))
+    return normal + deviation_covariance(statistics, pixel, a, b)
 
 
 def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:

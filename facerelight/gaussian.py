@@ -15,9 +15,11 @@ __all__ = [
     "Conditional",
     "NotPositiveDefiniteError",
     "NumericalWarning",
+    "SequentialConditional",
     "condition_gaussian",
     "correlation_factor",
     "covariance_factor",
+    "low_rank_code",
     "positive_variance",
     "safe_cholesky",
     "solve_lower",
@@ -116,6 +118,71 @@ def condition_gaussian(mean_x: Tensor, mean_y: Tensor, cov_xx: Tensor, cov_xy: T
     mean = mean_x.double() + (whitened.mT @ residual)[..., 0]
     covariance = cov_xx.double() - whitened.mT @ whitened
     return Conditional(mean.to(y.dtype), ((covariance + covariance.mT) / 2).to(y.dtype))
+
+
+class SequentialConditional:
+    """``p(x | y_1 .. y_K)`` of a scalar x, one observation at a time (Appendix A), equal to conditioning on all at once.
+
+    Appendix A grows the inverse of ``R_yy``; this grows its Cholesky factor by a row, which is the same recursion without an inverse:
+    each observation takes ``(sigma_0K - a^T R^-1 r)^2 / gamma`` off the variance, gamma its own variance given the earlier ones.
+
+    Args:
+        mean, variance: of x before anything is observed, ``(...)``; all arithmetic is in float64.
+
+    Example:
+        >>> x = SequentialConditional(torch.zeros(1), torch.ones(1))
+        >>> x.add(torch.tensor([2.0]), torch.tensor([0.5]), torch.tensor([1.0]), torch.zeros(1, 0)).variance
+        tensor([0.7500], dtype=torch.float64)
+    """
+
+    def __init__(self, mean: Tensor, variance: Tensor) -> None:
+        self.mean, self.variance = mean.double(), variance.double()
+        self._rows = self.mean.new_zeros(*self.mean.shape, 0, 0)  # L, lower triangular
+        self._cross = self.mean.new_zeros(*self.mean.shape, 0)  # L^-1 r_yx
+        self._white_residuals = self._cross  # L^-1 (y - mu)
+
+    def add(self, residual: Tensor, cross: Tensor, variance: Tensor, covariances: Tensor) -> SequentialConditional:
+        """Take in one more observation.
+
+        Args:
+            residual: ``y_K - mu_K``, ``(...)``; what the earlier observations foretold of it is taken off here.
+            cross: ``Cov(x, y_K)``, ``(...)``.
+            variance: ``Var(y_K)``, ``(...)``.
+            covariances: ``Cov(y_K, y_j)`` with the earlier observations, in order, ``(..., K - 1)``.
+        """
+        row = solve_lower(self._rows, covariances.double()[..., None])[..., 0] if self._rows.shape[-1] else covariances.double()
+        gamma = variance.double() - row.square().sum(-1)  # Var(y_K | y_1 .. y_K-1)
+        pivot = gamma.clamp_min(JITTER_STEPS[0] * variance.double().abs()).clamp_min(torch.finfo(torch.float64).tiny).sqrt()
+        white = (cross.double() - (row * self._cross).sum(-1)) / pivot
+        fresh = (residual.double() - (row * self._white_residuals).sum(-1)) / pivot
+        self.mean = self.mean + white * fresh
+        self.variance = positive_variance(self.variance - white.square())
+        self._white_residuals = torch.cat((self._white_residuals, fresh[..., None]), -1)
+        self._cross = torch.cat((self._cross, white[..., None]), -1)
+        grown = torch.cat((row, pivot[..., None]), -1)
+        self._rows = torch.cat((torch.nn.functional.pad(self._rows, (0, 1)), grown[..., None, :]), -2)
+        return self
+
+
+def low_rank_code(design: Tensor, observed: Tensor, temper: float, weight: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Posterior of ``c ~ N(0, I_k)`` from whitened observations ``y = A c + e`` at P pixels, the likelihood tempered by ``1 / temper``.
+
+    Args:
+        design: A, ``(P, K, k)``, float64.
+        observed: y, ``(P, K, 1)``.
+        temper: how many pixels count as one independent observation.
+        weight: ``(P,)``, how much each pixel counts; None: all alike.
+
+    Returns:
+        The mean ``(k, 1)`` and an upper triangular factor ``(k, k)`` of the covariance, ``F F^T``.
+    """
+    if weight is not None:
+        design, observed = design * weight[:, None, None].sqrt(), observed * weight[:, None, None].sqrt()
+    rows = design.flatten(0, 1)  # (P K, k)
+    eye = torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device)
+    factor = safe_cholesky(eye + rows.T @ rows / temper)
+    mean = torch.cholesky_solve(rows.T @ observed.flatten(0, 1) / temper, factor)
+    return mean, torch.linalg.solve_triangular(factor, eye, upper=False).T
 
 
 def covariance_factor(samples: Tensor, dof: float) -> Tensor:

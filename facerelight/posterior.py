@@ -10,9 +10,10 @@ from torch import Tensor
 from facerelight import gaussian
 from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, prior_mean
 from facerelight.lights import unit_lights
+from facerelight.mixture import mixture_mode
 from facerelight.statistics import FaceStatistics
 
-__all__ = ["Posterior", "Relit"]
+__all__ = ["Components", "Posterior", "Relit"]
 
 NEAR = 1e-7  # kernel values below this cannot change a float32 image
 
@@ -22,6 +23,14 @@ class Relit(NamedTuple):
 
     mean: Tensor
     variance: Tensor
+
+
+class Components(NamedTuple):
+    """A mixture of Gaussians at every pixel: ``mean``, ``variance`` ``(M, P)`` and ``weight (M,)``, float64."""
+
+    mean: Tensor
+    variance: Tensor
+    weight: Tensor
 
 
 class _Evidence(NamedTuple):
@@ -79,7 +88,7 @@ class PersonPosterior:
         if self.face is not None:
             loadings = loadings_at(statistics, self.face, lights)  # (K, k, P)
             inputs = gaussian.solve_lower(cholesky, loadings.permute(2, 0, 1).double())  # (P, K, k)
-            code, spread = _face_code(inputs, whitened, float(self.face.temper), self.visible)
+            code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
             self._explain(code[:, 0].to(observed), share * gain)
@@ -132,50 +141,47 @@ class PersonPosterior:
 
     def variance(self, targets: Tensor) -> Tensor:
         """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of their means."""
-        return torch.cat([self._variance(target[None]) for target in targets])
+        rows = []
+        for target in targets:
+            mean, variance, weight = self.components(target)
+            between = weight @ (mean - weight @ mean).square() if len(weight) > 1 else 0
+            rows.append((weight @ variance + between).to(target))
+        return torch.stack(rows)
 
-    def _variance(self, target: Tensor) -> Tensor:
+    def mode(self, targets: Tensor) -> Tensor:
+        """The most probable grey level under ``targets (Q, 3)`` (Algorithm 1, evaluated exactly), ``(Q, P)``; one hypothesis: the mean."""
+        if len(self.evidence) + (self.prior_share > 0) == 1:
+            return self.mean(targets)
+        return torch.stack([mixture_mode(*self.components(target)).to(target) for target in targets])
+
+    def components(self, target: Tensor) -> Components:
+        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis (3.6)."""
+        target = target[None]
         terms = light_terms(self.statistics, self.pixel, target, self.face)
-        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0]  # (P, 1)
+        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0, 0]  # (P,)
+        average = prior_mean(self.statistics, target)[0].double()
         outputs = None
         if self.face is not None:
             outputs = loadings_at(self.statistics, self.face, target).double()[0].T  # (P, k)
-        if not self.evidence:
-            prior_face = 0 if outputs is None else outputs.square().sum(-1, keepdim=True)
-            return (prior + prior_face).T.to(target)
-        average = prior_mean(self.statistics, target)[0].double()
-        within = torch.zeros_like(prior[:, 0])
-        first, second = torch.zeros_like(within), torch.zeros_like(within)
+        means, variances = [], []
         for index, evidence in enumerate(self.evidence):
             cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms)  # (P, K, 1)
             whitened = gaussian.solve_lower(evidence.cholesky, cross)
-            variance = prior[:, 0] - whitened.square().sum((1, 2))
-            shift = average + (cross[..., 0] * evidence.solved.T).sum(-1)
+            variance = prior - whitened.square().sum((1, 2))
+            mean = average + (cross[..., 0] * evidence.solved.T).sum(-1)
             if outputs is not None and evidence.inputs is not None:
                 code, spread = self.codes[index]
                 left = outputs - (whitened * evidence.inputs).sum(1)  # D, (P, k)
                 variance = variance + (left @ spread).square().sum(-1)
-                shift = shift + (outputs @ code)[:, 0]
-            shift = evidence.gain * shift
-            within += evidence.gain**2 * gaussian.positive_variance(variance)
-            first += shift
-            second += shift.square()
-        count = len(self.evidence)
-        between = gaussian.positive_variance(second / count - (first / count).square())
-        total = within / count + (between if count > 1 else 0)
-        return total[None].to(target)
-
-
-def _face_code(inputs: Tensor, whitened: Tensor, temper: float, visible: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Posterior mean ``(k, 1)`` of the whole-face code and a factor ``(k, k)`` of its covariance, the likelihood tempered."""
-    if visible is not None:
-        inputs, whitened = inputs * visible[:, None, None].sqrt(), whitened * visible[:, None, None].sqrt()
-    design = inputs.flatten(0, 1)  # (P K, k)
-    precision = torch.eye(design.shape[1], dtype=design.dtype, device=design.device) + design.T @ design / temper
-    factor = gaussian.safe_cholesky(precision)
-    code = torch.cholesky_solve(design.T @ whitened.flatten(0, 1) / temper, factor)
-    root = torch.linalg.solve_triangular(factor, torch.eye(len(factor), dtype=factor.dtype, device=factor.device), upper=False).T
-    return code, root
+                mean = mean + (outputs @ code)[:, 0]
+            means.append(evidence.gain * mean)
+            variances.append(evidence.gain**2 * gaussian.positive_variance(variance))
+        weight = [(1 - self.prior_share) / len(means)] * len(means) if means else []
+        if self.prior_share > 0:
+            means.append(average)
+            variances.append(prior if outputs is None else prior + outputs.square().sum(-1))
+            weight.append(self.prior_share)
+        return Components(torch.stack(means), torch.stack(variances), torch.tensor(weight, dtype=prior.dtype))
 
 
 class Posterior:
@@ -188,6 +194,10 @@ class Posterior:
     def mean(self, target_lights: Tensor) -> Tensor:
         """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or ``(B, Q, 3)``."""
         return self._render("mean", target_lights)
+
+    def mode(self, target_lights: Tensor) -> Tensor:
+        """The most probable image (Algorithm 1) instead of the expected one, ``(B, Q, H, W)``; the same where the lights are known."""
+        return self._render("mode", target_lights)
 
     def variance(self, target_lights: Tensor) -> Tensor:
         """The variance of every relit pixel (3.17), ``(B, Q, H, W)``."""

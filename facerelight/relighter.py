@@ -9,12 +9,15 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.mle import MaximumLikelihood
 from facerelight.posterior import PersonPosterior, Posterior, Relit
 from facerelight.statistics import FaceStatistics
 
 __all__ = ["StatisticalRelighter"]
 
 Covariance = Literal["pixel", "face"]
+Method = Literal["expected", "map", "mle"]
+METHODS = ("expected", "map", "mle")
 
 
 class StatisticalRelighter(nn.Module):
@@ -101,21 +104,44 @@ class StatisticalRelighter(nn.Module):
         images: Tensor,
         target_lights: Tensor,
         source_lights: Tensor | None = None,
-        method: Literal["expected"] = "expected",
+        method: Method = "expected",
         estimator: KernelIlluminationEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
     ) -> Relit:
         """Relight ``images (B, K, H, W)`` to ``target_lights (Q, 3)`` or ``(B, Q, 3)``: :meth:`condition`, then render.
 
+        Args:
+            images, source_lights, estimator, draws, generator: see :meth:`condition`.
+            target_lights: unit vectors.
+            method: "expected", the mean image (Algorithm 2; with known lights 3.17); "map", the most probable grey levels (Algorithm 1);
+                "mle", n fixed and unknown (3.19, 3.20), for three or more known lights that are not in one plane.
+
         Returns:
-            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype.
+            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype; with "map", ``mean`` holds the mode.
         """
-        if method != "expected":
-            raise ValueError(f"method: expected 'expected', got {method!r}")
-        posterior = self.condition(images, source_lights, estimator, draws, generator)
-        mean, variance = posterior.render(target_lights)
+        if method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if method == "mle":
+            mean, variance = self._fixed_normal(self._checked(images), target_lights, source_lights)
+        else:
+            posterior = self.condition(images, source_lights, estimator, draws, generator)
+            mean = posterior.mean(target_lights) if method == "expected" else posterior.mode(target_lights)
+            variance = posterior.variance(target_lights)
         return Relit(mean.to(images), variance.to(images))
+
+    def _fixed_normal(self, images: Tensor, targets: Tensor, lights: Tensor | None) -> Relit:
+        """The special case of 3.5.1, person by person."""
+        if lights is None or bool(lights.isnan().any()):
+            raise ValueError("method='mle': expected all source lights to be known; give `source_lights` or use method='expected'")
+        lights, targets = lights.to(images), targets.to(images)
+        people = [
+            MaximumLikelihood(self.statistics, person, lights if lights.dim() == 2 else lights[index]).relight(
+                targets if targets.dim() == 2 else targets[index]
+            )
+            for index, person in enumerate(images)
+        ]
+        return Relit(torch.stack([p.mean for p in people]), torch.stack([p.variance for p in people]))
 
     def _checked(self, images: Tensor) -> Tensor:
         height, width = self.statistics.size

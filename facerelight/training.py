@@ -11,8 +11,10 @@ import time
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
@@ -22,17 +24,27 @@ from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 from facerelight.store import ImageStore
 
+if TYPE_CHECKING:
+    from facerelight.bootstrap.generate import BootstrapDataset
+
 __all__ = ["make_dataset", "train", "trained_folder"]
 
 
-def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # imports OpenGL only when called
-    """The :class:`~facerelight.bootstrap.generate.BootstrapDataset` of a config."""
-    from facerelight.bootstrap.generate import BootstrapDataset
+def make_dataset(
+    config: TrainConfig,
+    lights: Tensor | None = None,
+    pose: tuple[float, float] = (0.0, 0.0),
+    expression: dict[str, float] | None = None,
+) -> BootstrapDataset:
+    """The people of a config as a torch dataset, under its own lights from the front unless told otherwise."""
+    from facerelight.bootstrap.generate import BootstrapDataset  # OpenGL starts here and not before
     from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads, MeshFolder
 
     source: HeadSource
+    if expression and config.source != "makehuman":
+        raise ValueError(f"expression: expected source 'makehuman', whose heads have expressions, got {config.source!r}")
     if config.source == "makehuman":
-        source = MakeHumanHeads(config.seed)
+        source = MakeHumanHeads(config.seed, expression=expression)
     elif Path(config.source).is_dir():
         source = MeshFolder(config.source)
         if len(source) < config.heads:
@@ -41,9 +53,8 @@ def make_dataset(config: TrainConfig):  # type: ignore[no-untyped-def]  # import
         source = IctHeads(config.source, config.seed)
     else:
         raise ValueError(f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}")
-    return BootstrapDataset(
-        source, config.heads, config.directions(), config.frame, config.domain, config.seed, config.effects, config.supersample
-    )
+    seen = config.directions() if lights is None else lights
+    return BootstrapDataset(source, config.heads, seen, config.frame, config.domain, config.seed, config.effects, config.supersample, pose)
 
 
 def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False) -> dict[str, object]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from facerelight.alignment import CropFrame
-from facerelight.bootstrap.heads import HeadSource, place_in_frame
+from facerelight.bootstrap.heads import HeadSource, place_in_frame, rotate
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.scene import Surface, plan_effects, shade, view_surface
 from facerelight.bootstrap.skin import Domain, Look, Material
@@ -49,6 +49,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
         seed: of the paint; the heads have their own.
         effects: "auto" (only what each scene calls for), "all", or names; the images are the same for the first two.
         supersample: samples a pixel along each side, averaged.
+        pose: azimuth and elevation of the camera in degrees; a turned head stays at the size and place of its upright landmarks.
 
     A renderer is opened in the process (or worker) that first asks for an item.
     """
@@ -63,11 +64,13 @@ class BootstrapDataset(Dataset[RenderedHead]):
         seed: int = 0,
         effects: str | Iterable[str] = "auto",
         supersample: int = 1,
+        pose: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         if count < 1:
             raise ValueError(f"count: expected at least 1 head, got {count}")
         self.source, self.count, self.lights, self.frame = source, count, lights, frame
         self.domain, self.seed, self.effects, self.supersample = domain or Domain(), seed, effects, supersample
+        self.pose = pose
         self._renderer: MeshRenderer | None = None
 
     def __len__(self) -> int:
@@ -78,7 +81,8 @@ class BootstrapDataset(Dataset[RenderedHead]):
         if self._renderer is None:
             self._renderer = open_renderer(self.frame, self.supersample)
         look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
-        head = place_in_frame(self.source.head(index), self.frame)
+        upright = self.source.head(index)
+        head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
         return view_surface(self._renderer, head, look), look.material
 
     def __getitem__(self, index: int) -> RenderedHead:

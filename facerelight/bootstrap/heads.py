@@ -18,6 +18,9 @@ from facerelight.alignment import CropFrame
 __all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate"]
 
 
+PIVOT = np.array((0.0, -0.3, -0.8))  # the middle of a head: turned about it, the face stays in the crop
+
+
 class Head(NamedTuple):
     """A head mesh.
 
@@ -232,12 +235,14 @@ def apply_similarity(move: tuple[float, np.ndarray, np.ndarray], points: np.ndar
 
 
 def rotate(head: Head, azimuth: float, elevation: float) -> Head:
-    """Turn a head as if the camera moved to ``azimuth``, ``elevation`` (degrees): positive azimuth shows what lies at image-left."""
+    """Turn a head about its middle as if the camera moved (degrees): positive azimuth shows what lies at image-left."""
+    if not (abs(azimuth) <= 90 and abs(elevation) <= 60):
+        raise ValueError(f"pose: expected azimuth within 90 and elevation within 60 degrees, got {azimuth} and {elevation}")
     a, e = np.deg2rad((azimuth, elevation))
     about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
     about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
     turn = about_x @ about_y
-    return head._replace(vertices=head.vertices @ turn.T, landmarks=head.landmarks @ turn.T)
+    return head._replace(vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT)
 
 
 def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:
