@@ -16,6 +16,8 @@ from facerelight.statistics import FitOptions
 
 __all__ = ["main"]
 
+METHODS = ("expected", "map", "mle")
+
 
 def _train_parser() -> ArgumentParser:
     parser = ArgumentParser(description="Render a bootstrap of heads and learn their statistics.", exit_on_error=True)
@@ -29,13 +31,20 @@ def _train_parser() -> ArgumentParser:
 
 
 def _relight_parser() -> ArgumentParser:
-    parser = ArgumentParser(description="Relight the face in one photo.", exit_on_error=True)
-    parser.add_argument("photo", type=str, help="JPEG, PNG, TIFF, PPM, BMP or WebP")
+    parser = ArgumentParser(description="Relight the face in a photo.", exit_on_error=True)
+    parser.add_argument("photo", type=str, nargs="+", help="JPEG, PNG, TIFF, PPM, BMP or WebP; further photos of the person are evidence")
     parser.add_argument("--azimuth", type=float, nargs="+", default=[0.0], help="degrees, positive: light at image-left; several make several")
     parser.add_argument("--elevation", type=float, nargs="+", default=[0.0], help="degrees, positive: light above")
     parser.add_argument("--output", type=str, default="relit.png", help="file to write; several lights add _AZ_EL to the name")
     parser.add_argument("--landmarks", type=str | None, default=None, help="x,y,x,y,x,y: eye at image-left, eye at image-right, mouth")
     parser.add_argument("--variance", type=str | None, default=None, help="also write a map of the standard deviation, first light")
+    parser.add_argument(
+        "--method",
+        type=str,
+        default="expected",
+        choices=list(METHODS),
+        help="the mean image, the most probable one, or n without a prior (from three photos or more)",
+    )
     parser.add_argument("--covariance", type=str, default="face", choices=["face", "pixel"], help="whole-face or per-pixel model")
     parser.add_argument("--statistics", type=str | None, default=None, help="folder of trained statistics (default: the user's cache)")
     parser.add_argument("--json", action="store_true", help="print what was done as JSON")
@@ -102,10 +111,10 @@ def _relight(arguments: Namespace) -> int:
     from facerelight.relighter import StatisticalRelighter
 
     lights = _lights(arguments.azimuth, arguments.elevation)
-    photo = read_photo(arguments.photo)
+    photo, *more = (read_photo(path) for path in arguments.photo)
     relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics), arguments.covariance)
     landmarks = _landmarks(arguments.landmarks)
-    session = PhotoRelighter(photo.rgb, landmarks, relighter)
+    session = PhotoRelighter(photo.rgb, landmarks, relighter, more=[other.rgb for other in more], method=arguments.method)
     output = Path(arguments.output)
     written = []
     for azimuth, elevation in lights:
@@ -117,7 +126,8 @@ def _relight(arguments: Namespace) -> int:
         written.append(arguments.variance)
     azimuth, elevation = session.source_angles
     report = {
-        "photo": arguments.photo,
+        "photo": arguments.photo[0],
+        "method": arguments.method,
         "output": written,
         "source_light": {"azimuth": round(azimuth, 1), "elevation": round(elevation, 1)},
         "landmarks": [[round(v, 1) for v in point] for point in session.landmarks.tolist()],

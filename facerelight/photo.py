@@ -6,6 +6,8 @@ to the photo's own pixels, so detail and colour are the photo's. Where the input
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import kornia
 import numpy as np
 import torch
@@ -15,15 +17,20 @@ from torch import Tensor
 from facerelight.alignment import CropFrame, fit_similarity, warp_from_crop, warp_to_crop
 from facerelight.config import DEFAULT_CONFIG, TrainConfig, default_statistics_folder
 from facerelight.covariance import prior_mean
-from facerelight.illumination import fit_soft_light
+from facerelight.face_mask import face_mask
+from facerelight.illumination import fit_soft_light, quasi_normal
 from facerelight.landmarks import find_landmarks
 from facerelight.lights import angles_from_light, light_from_angles
-from facerelight.relighter import StatisticalRelighter
+from facerelight.mle import MaximumLikelihood
+from facerelight.relighter import METHODS, Method, StatisticalRelighter
 
 __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
 DARK = 0.05  # linear radiance below which a ratio would only amplify noise
 LARGEST_RATIO = 4.0
+LIGHT_DRAWS = 16
+
+Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
@@ -80,6 +87,12 @@ class PhotoRelighter:
         landmarks: as for :func:`relight`.
         relighter: as for :func:`relight`.
         source_light: ``(3,)`` unit vector where the photo's light is known; None estimates it.
+        more: further photos of the same person, as evidence; their landmarks and lights are found.
+        method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own uncertainty counted in;
+            "mle": n without a prior, from three photos or more under different lights.
+
+    Raises:
+        ValueError: a photo or landmarks that cannot be used, or too few photos for the method.
     """
 
     def __init__(
@@ -88,28 +101,58 @@ class PhotoRelighter:
         landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None = None,
         relighter: StatisticalRelighter | None = None,
         source_light: Tensor | None = None,
+        more: Sequence[np.ndarray] = (),
+        method: Method = "expected",
     ) -> None:
-        coded = _as_float(photo)
-        if landmarks is None:
-            landmarks = find_landmarks((coded * 255).round().astype(np.uint8))
         self.relighter = relighter or load_relighter()
         height, width = self.relighter.statistics.size
         margin = float(self.relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
         self.frame = CropFrame(height, width, margin)
-        self.landmarks = _check_landmarks(landmarks, coded.shape)
-        self.matrix = fit_similarity(self.landmarks, self.frame.landmarks)[None]
-        self.coded = torch.from_numpy(np.ascontiguousarray(coded)).permute(2, 0, 1)[None]
+        self.coded, self.landmarks, self.matrix, crop = self._align(photo, landmarks)
         self.linear = kornia.color.rgb_to_linear_rgb(self.coded)
-        crop = warp_to_crop(self.linear, self.matrix, self.frame)
-        self.luminance = (crop * torch.tensor(LUMA)[:, None, None]).sum(1)[0]  # (h, w)
-        self.mask = _face_mask(crop[0], self.frame)
-        self.source_light, equivalent = self._single_light(source_light)
-        self.posterior = self.relighter.condition(equivalent[None, None], self.source_light[None], mask=self.mask[None])
+        self.luminance, self.mask = _luminance(crop), face_mask(crop[0], self.frame)
+        self.source_light, equivalent = self._single_light(self.luminance, self.mask, source_light)
+        evidence, mask = [(equivalent, self.source_light)], self.mask
+        for other in more:
+            crop = self._align(other, None)[3]
+            other_mask = face_mask(crop[0], self.frame)
+            light, equivalent = self._single_light(_luminance(crop), other_mask, None)
+            evidence.append((equivalent, light))
+            mask = torch.minimum(mask, other_mask)
+        images, lights = (torch.stack(parts) for parts in zip(*evidence, strict=True))
+        self._mean, self._variance = self._conditioned(images, lights, mask, method)
         # The new lamp is as strong as keeps the face's brightness when it stands at the camera.
-        at_camera = self.posterior.mean(torch.tensor([[0.0, 0.0, 1.0]]))[0, 0].clamp_min(0)
+        at_camera = self._mean(torch.tensor([[0.0, 0.0, 1.0]]))[0, 0].clamp_min(0)
         self.exposure = float((self.luminance * self.mask).sum() / (at_camera * self.mask).sum().clamp_min(1e-6)) or 1.0
 
-    def _single_light(self, known: Tensor | None) -> tuple[Tensor, Tensor]:
+    def _align(self, photo: np.ndarray, landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None) -> tuple[Tensor, ...]:
+        """sRGB-coded ``(1, 3, H, W)``, landmarks, the matrix into the crop, and the linear crop ``(1, 3, h, w)``."""
+        coded = _as_float(photo)
+        if landmarks is None:
+            landmarks = find_landmarks((coded * 255).round().astype(np.uint8))
+        points = _check_landmarks(landmarks, coded.shape)
+        matrix = fit_similarity(points, self.frame.landmarks)[None]
+        image = torch.from_numpy(np.ascontiguousarray(coded)).permute(2, 0, 1)[None]
+        return image, points, matrix, warp_to_crop(kornia.color.rgb_to_linear_rgb(image), matrix, self.frame)
+
+    def _conditioned(self, images: Tensor, lights: Tensor, mask: Tensor, method: Method) -> tuple[Renderer, Renderer]:
+        """What renders the person of ``images (K, h, w)``, and its variance, under any light."""
+        if method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if method == "mle":
+            fixed = MaximumLikelihood(self.relighter.statistics, images, lights)
+            return (lambda target: fixed.relight(target).mean[None]), (lambda target: fixed.relight(target).variance[None])
+        if method == "expected":
+            posterior = self.relighter.condition(images[None], lights, mask=mask[None])
+            return posterior.mean, posterior.variance
+        spread = 0.1 * torch.eye(3) if self.relighter.estimator is None else self.relighter.estimator.error_factor
+        noise = quasi_normal(LIGHT_DRAWS, 3 * len(lights)).view(LIGHT_DRAWS, -1, 3)
+        seen = lights.square().sum(-1, keepdim=True) > 0
+        drawn = torch.nn.functional.normalize(lights + noise @ spread.T, dim=-1) * seen
+        posterior = self.relighter.condition(images[None], drawn[None], mask=mask[None])
+        return posterior.mode, posterior.variance
+
+    def _single_light(self, luminance: Tensor, mask: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
         """The one light that comes nearest to the photo's own, and what the crop would look like under it at unit strength.
 
         Few photos are lit by one lamp. The photo's light is fitted as a mixture of lights on the average face, and the quotient of the
@@ -118,16 +161,16 @@ class PhotoRelighter:
         statistics = self.relighter.statistics
         size = statistics.size
         average = prior_mean(statistics, statistics.lights).unflatten(1, size)
-        amounts = fit_soft_light(average, self.luminance, self.mask)
+        amounts = fit_soft_light(average, luminance, mask)
         strength = float(amounts.sum())
         if strength < 1e-4:
-            return torch.zeros(3), self.luminance
+            return torch.zeros(3), luminance
         share = amounts / strength
         light = torch.nn.functional.normalize(share @ statistics.lights if known is None else known.reshape(3).to(share), dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
         single = prior_mean(statistics, light[None]).view(size).clamp_min(0)
         quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_RATIO, LARGEST_RATIO)
-        return light, self.luminance / strength * (quotient if known is None else 1)
+        return light, luminance / strength * (quotient if known is None else 1)
 
     @property
     def source_angles(self) -> tuple[float, float]:
@@ -137,11 +180,15 @@ class PhotoRelighter:
         azimuth, elevation = angles_from_light(self.source_light)
         return float(azimuth), float(elevation)
 
+    def crops(self, lights: Tensor) -> Tensor:
+        """The aligned face under unit ``lights (Q, 3)``, linear radiance before exposure, ``(Q, h, w)``."""
+        return self._mean(lights)[0]
+
     @torch.inference_mode()
     def render(self, azimuth: float, elevation: float) -> np.ndarray:
         """The photo with its face lit from ``azimuth``, ``elevation`` (degrees): ``(H, W, 3)`` uint8 sRGB."""
         target = light_from_angles(float(azimuth), float(elevation))[None]
-        relit = self.posterior.mean(target)[0, 0].clamp_min(0) * self.exposure
+        relit = self.crops(target)[0].clamp_min(0) * self.exposure
         # Fine detail is the photo's own: the ratio is taken between slightly smoothed images.
         smooth, base = kornia.filters.gaussian_blur2d(torch.stack((relit, self.luminance))[None], (9, 9), (1.5, 1.5))[0]
         ratio = (smooth / base.clamp_min(DARK)).clamp_max(LARGEST_RATIO)
@@ -158,7 +205,7 @@ class PhotoRelighter:
     def std(self, azimuth: float, elevation: float) -> np.ndarray:
         """How unsure :meth:`render` is: the standard deviation of linear radiance, ``(H, W)`` float32, 0 outside the face."""
         target = light_from_angles(float(azimuth), float(elevation))[None]
-        std = self.posterior.variance(target)[0, 0].sqrt() * self.exposure
+        std = self._variance(target)[0, 0].sqrt() * self.exposure
         std, mask = self._to_photo(std, self.mask)
         return (std * mask).numpy()
 
@@ -166,6 +213,11 @@ class PhotoRelighter:
         """Maps of the crop on the photo's own pixels."""
         height, width = self.coded.shape[2:]
         return warp_from_crop(torch.stack(maps)[None], self.matrix, (height, width))[0]
+
+
+def _luminance(crop: Tensor) -> Tensor:
+    """Of a linear crop ``(1, 3, h, w)``, ``(h, w)``."""
+    return (crop * torch.tensor(LUMA)[:, None, None]).sum(1)[0]
 
 
 def _soft_clip(radiance: Tensor, knee: float = 0.8) -> Tensor:
@@ -195,31 +247,3 @@ def _check_landmarks(landmarks: Tensor | np.ndarray | list[tuple[float, float]],
     if points[0, 0] == points[1, 0] and points[0, 1] == points[1, 1]:
         raise ValueError("landmarks: expected two different eyes, got the same point twice")
     return points
-
-
-def _face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
-    """Where the face is in the crop, 0 to 1: an oval around the landmarks, less what does not look like its skin (hair, glasses, hats).
-
-    Args:
-        crop: ``(3, h, w)`` linear.
-        frame: the crop.
-    """
-    radius, eyes = frame.oval(), frame.landmarks[:2]
-    around = ((1.25 - radius) / 0.25).clamp(0, 1)  # jaw, ears and neck, where they look like skin
-    y = torch.arange(frame.height)[:, None]
-    core = (radius < 0.7) & ((y - eyes[0, 1]).abs() > 0.3 * (eyes[1, 0] - eyes[0, 0]))  # without the eyes
-    brightness = crop.sum(0).clamp_min(1e-4)
-    chroma = crop[:2] / brightness
-    features = torch.cat((chroma * 12, 0.5 * torch.log(brightness)[None]))
-    sample = features[:, core]
-    centre = sample.median(1).values
-    spread = (sample - centre[:, None]).abs().median(1).values.clamp_min(0.15) * 1.5
-    distance = ((features - centre[:, None, None]) / spread[:, None, None]).clamp(-6, 6).square().sum(0).sqrt()
-    skin = (1 - (distance - 2.5) / 1.5).clamp(0, 1)
-    unit = float(eyes[1, 0] - eyes[0, 0])
-    below_fringe = ((y - eyes[0, 1]) / unit + 0.5).div(0.15).clamp(0, 1)
-    inner = ((0.72 - radius) / 0.15).clamp(0, 1) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
-    mask = torch.maximum(around * skin, inner)
-    guide = brightness.clamp(0, 1).sqrt()
-    smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
-    return (smooth * around).float()

@@ -43,7 +43,7 @@ class View:
 
 
 class ViewRelit(NamedTuple):
-    """``mean``, ``variance`` ``(H, W)``; ``code (k,)``, what is known of the person; ``weight (S,)`` of each reading of the inputs' views."""
+    """``mean``, ``variance`` ``(B, H, W)``; ``code (B, k)``, what is known of each person; ``weight (B, S)`` of the readings of the inputs."""
 
     mean: Tensor
     variance: Tensor
@@ -118,46 +118,51 @@ class ViewRelighter:
         self.source, self.rank, self.temper = source, rank, temper
 
     def __call__(self, images: Tensor, source_views: Sequence[View | Sequence[View]], target_view: View) -> ViewRelit:
-        """Render ``images (K, H, W)`` of one person under ``target_view``: the conditional mean and variance (5.3 to 5.5).
+        """Render ``images (B, K, H, W)`` of B persons under ``target_view``: the conditional mean and variance (5.3 to 5.5).
 
         Args:
-            images: linear radiance.
+            images: linear radiance; the k-th image of everybody was taken under the same view.
             source_views: for each image its view or, where that is unknown, a list of candidates. Every combination is a reading of the
-                inputs; the readings are averaged with their tempered evidence as weights (5.5).
+                inputs; the readings are averaged with their tempered evidence as weights (5.5), person by person.
             target_view: what to render.
         """
-        if images.dim() != 3 or tuple(images.shape[1:]) != self.source.size or not len(images) or len(source_views) != len(images):
-            height, width = self.source.size
-            raise ValueError(f"images: expected (K, {height}, {width}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}")
+        height, width = self.source.size
+        if images.dim() != 4 or tuple(images.shape[2:]) != (height, width) or not images.shape[1] or len(source_views) != images.shape[1]:
+            raise ValueError(f"images: expected (B, K, {height}, {width}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}")
         readings: list[list[View]] = [[]]
         for view in source_views:
             readings = [[*r, v] for r in readings for v in ([view] if isinstance(view, View) else view)]
-        means, variances, codes, evidence = zip(*(self._condition(images, r, target_view) for r in readings), strict=True)
-        weight = torch.softmax(torch.stack(evidence), 0)
-        stack = torch.stack(means)
-        mean = torch.einsum("s,sp->p", weight, stack)
-        variance = torch.einsum("s,sp->p", weight, torch.stack(variances) + (stack - mean).square())
-        code = torch.einsum("s,sk->k", weight, torch.stack(codes))
-        return ViewRelit(mean.to(images).view(self.source.size), variance.to(images).view(self.source.size), code.to(images), weight)
+        parts = [self._read(images.flatten(2), reading, target_view) for reading in readings]
+        means, variances, codes, evidence = (torch.stack(part) for part in zip(*parts, strict=True))  # (S, B, ...)
+        weight = torch.softmax(evidence, 0)
+        mean = torch.einsum("sb,sbp->bp", weight, means)
+        variance = torch.einsum("sb,sbp->bp", weight, variances + (means - mean).square())
+        code = torch.einsum("sb,sbk->bk", weight, codes)
+        size = (height, width)
+        return ViewRelit(mean.to(images).unflatten(1, size), variance.to(images).unflatten(1, size), code.to(images), weight.T.to(images))
 
-    def _condition(self, images: Tensor, views: Sequence[View], target: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Mean and variance ``(P,)`` of the output, the code, and the tempered log evidence of this reading of the inputs."""
+    def _read(self, images: Tensor, views: Sequence[View], target: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered log evidence ``(B,)``."""
         known = self.source.fields([target, *views])
-        fields = known.fields.double().flatten(0, 1) if len(known.fields) == 1 else known.fields.sum(0).double()  # (V, N, P)
+        fields = known.fields.sum(0).double()  # (V, N, P)
         people = fields.shape[1]
-        gram = torch.einsum("vnp,vmp->nm", fields, fields)
-        operators = face_operators(gram, min(self.rank, people - 2))
+        operators = face_operators(torch.einsum("vnp,vmp->nm", fields, fields), min(self.rank, people - 2))
         loadings = torch.einsum("kn,vnp->pvk", operators.loadings.double(), fields)
         residual = torch.einsum("mn,vnp->pvm", operators.residual.double(), fields)
         covariance = residual @ residual.mT / people + known.local.permute(2, 0, 1).double()  # (P, V, V)
         factor = gaussian.safe_cholesky(covariance[:, 1:, 1:])
-        observed = (images.flatten(1) - known.mean[1:]).double().T[..., None]
-        white, inputs = gaussian.solve_lower(factor, observed), gaussian.solve_lower(factor, loadings[:, 1:])
-        code, spread = gaussian.low_rank_code(inputs, white, self.temper)
+        inputs = gaussian.solve_lower(factor, loadings[:, 1:])  # (P, K, k)
         cross = gaussian.solve_lower(factor, covariance[:, 1:, :1])  # (P, K, 1)
-        left = loadings[:, 0] - (cross * inputs).sum(1)
-        mean = known.mean[0].double() + (left @ code)[:, 0] + (cross * white).sum((1, 2))
-        variance = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2))) + (left @ spread).square().sum(-1)
-        explained = (white - inputs @ code).square().sum() + self.temper * code.square().sum()
-        volume = factor.diagonal(dim1=1, dim2=2).log().sum() * 2 - 2 * self.temper * spread.diagonal().log().sum()
-        return mean, variance, code[:, 0], -0.5 * (explained + volume) / self.temper
+        left = loadings[:, 0] - (cross * inputs).sum(1)  # D, (P, k)
+        own = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2)))
+        volume = 2 * factor.diagonal(dim1=1, dim2=2).log().sum()
+        results = []
+        for person in images:
+            white = gaussian.solve_lower(factor, (person - known.mean[1:]).double().T[..., None])  # (P, K, 1)
+            code, spread = gaussian.low_rank_code(inputs, white, self.temper)
+            mean = known.mean[0].double() + (left @ code)[:, 0] + (cross * white).sum((1, 2))
+            missed = (white - inputs @ code).square().sum() + self.temper * code.square().sum()
+            evidence = -0.5 * (missed + volume - 2 * self.temper * spread.diagonal().log().sum()) / self.temper
+            results.append((mean, own + (left @ spread).square().sum(-1), code[:, 0], evidence))
+        mean, variance, code, evidence = (torch.stack(part) for part in zip(*results, strict=True))
+        return mean, variance, code, evidence

@@ -63,7 +63,7 @@ class StatisticalRelighter(nn.Module):
         Args:
             images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics' size.
             source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes its image out of
-                the evidence. None: all are unknown, and are estimated and integrated over.
+                the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown, and are estimated and integrated over.
             estimator: finds unknown lights; default: the module's own.
             draws: samples of each unknown light (Algorithm 2).
             generator: makes the samples another set; by default they are the same at every call.
@@ -79,12 +79,13 @@ class StatisticalRelighter(nn.Module):
         lights = source_lights.to(images)
         if lights.dim() == 2:
             lights = lights.expand(len(images), -1, -1)
-        if lights.shape != (*images.shape[:2], 3):
+        hypotheses = lights if lights.dim() == 4 else lights[:, None]
+        if hypotheses.dim() != 4 or (len(hypotheses), *hypotheses.shape[2:]) != (*images.shape[:2], 3):
             raise ValueError(
-                f"source lights: expected (K, 3) or (B, K, 3) for images {tuple(images.shape[:2])}, got {tuple(source_lights.shape)}"
+                f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
+                f" got {tuple(source_lights.shape)}"
             )
-        hypotheses = lights[:, None]
-        unknown = lights.isnan().any(-1)
+        unknown = hypotheses.isnan().any(-1).any(1)  # (B, K)
         if unknown.any():
             finder = estimator or self.estimator
             if finder is None:
@@ -92,7 +93,7 @@ class StatisticalRelighter(nn.Module):
             if draws < 1:
                 raise ValueError(f"draws: expected at least 1, got {draws}")
             drawn = finder.sample(images, draws, generator, mask=mask)
-            hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses)
+            hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses)
         people = [
             PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
             for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))

@@ -82,7 +82,7 @@ def main() -> None:
         mean_face = torch.stack([source.images(view).mean(0) for view in TARGETS])
 
         def error(relighter: ViewRelighter) -> tuple[float, torch.Tensor]:
-            made = torch.stack([torch.stack([relighter(person, INPUTS, target).mean for target in TARGETS]) for person in inputs])
+            made = torch.stack([relighter(inputs, INPUTS, target).mean for target in TARGETS], 1)
             return float((made.clamp(0, 1) - truth.clamp(0, 1)).square().mean((2, 3)).sqrt().mean() * 255), made
 
         results: dict[str, float] = {"average_face": float((mean_face - truth).square().mean((2, 3)).sqrt().mean() * 255)}

@@ -14,7 +14,7 @@ from torch import Tensor
 from facerelight.files import read_photo
 from facerelight.photo import PhotoRelighter
 from facerelight.recognition.classifiers import IndividualPCAClassifier
-from facerelight.recognition.exemplars import exemplar_lights, synthesize
+from facerelight.recognition.exemplars import exemplar_lights
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
 
@@ -73,7 +73,7 @@ class Gallery:
         exemplars = []
         for path in photos:
             session = self._open(path)
-            exemplars += [self._inside(session, synthesize(session.posterior, lights)[0]), self._inside(session, session.luminance[None])]
+            exemplars += [self._inside(session, session.crops(lights)), self._inside(session, session.luminance[None])]
         self.classifier.partial_fit(torch.cat(exemplars), name)
 
     def identify(self, photo: str | Path) -> Identification:

@@ -1,0 +1,39 @@
+"""Which pixels of an aligned crop show the face."""
+
+from __future__ import annotations
+
+import kornia
+import torch
+from torch import Tensor
+
+from facerelight.alignment import CropFrame
+
+__all__ = ["face_mask"]
+
+
+def face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
+    """Where the face is in the crop, 0 to 1: an oval around the landmarks, less what does not look like its skin (hair, glasses, hats).
+
+    Args:
+        crop: ``(3, h, w)`` linear.
+        frame: the crop.
+    """
+    radius, eyes = frame.oval(), frame.landmarks[:2]
+    around = ((1.25 - radius) / 0.25).clamp(0, 1)  # jaw, ears and neck, where they look like skin
+    y = torch.arange(frame.height)[:, None]
+    core = (radius < 0.7) & ((y - eyes[0, 1]).abs() > 0.3 * (eyes[1, 0] - eyes[0, 0]))  # without the eyes
+    brightness = crop.sum(0).clamp_min(1e-4)
+    chroma = crop[:2] / brightness
+    features = torch.cat((chroma * 12, 0.5 * torch.log(brightness)[None]))
+    sample = features[:, core]
+    centre = sample.median(1).values
+    spread = (sample - centre[:, None]).abs().median(1).values.clamp_min(0.15) * 1.5
+    distance = ((features - centre[:, None, None]) / spread[:, None, None]).clamp(-6, 6).square().sum(0).sqrt()
+    skin = (1 - (distance - 2.5) / 1.5).clamp(0, 1)
+    unit = float(eyes[1, 0] - eyes[0, 0])
+    below_fringe = ((y - eyes[0, 1]) / unit + 0.5).div(0.15).clamp(0, 1)
+    inner = ((0.72 - radius) / 0.15).clamp(0, 1) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
+    mask = torch.maximum(around * skin, inner)
+    guide = brightness.clamp(0, 1).sqrt()
+    smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
+    return (smooth * around).float()
