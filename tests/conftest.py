@@ -47,3 +47,12 @@ def yale_path() -> Path:
     if not path.is_file():
         pytest.skip("Extended Yale B is not at hand; set FACERELIGHT_YALE to the path of its .npz file")
     return path
+
+
+@pytest.fixture(scope="session")
+def posed(tmp_path_factory: pytest.TempPathFactory):
+    """A small rendered bootstrap under any view."""
+    from facerelight.config import TrainConfig
+    from facerelight.pose import BootstrapViews
+
+    return BootstrapViews(TrainConfig(heads=12, height=48, width=42, supersample=1), tmp_path_factory.mktemp("views"))

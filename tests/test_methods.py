@@ -172,9 +172,7 @@ def test_one_image_at_a_time_equals_all_at_once(statistics: FaceStatistics, ligh
 # ---- tables 3.1 and 3.2
 
 
-@pytest.mark.parametrize(
-    ("method", "inputs"), [*(("expected", k) for k in (1, 2, 3, 5, 10, 21)), *(("mle", k) for k in (3, 5, 10, 21))]
-)
+@pytest.mark.parametrize(("method", "inputs"), [*(("expected", k) for k in (1, 2, 3, 5, 10, 21)), *(("mle", k) for k in (3, 5, 10, 21))])
 def test_parsimony(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, method: str, inputs: int) -> None:
     """Any number of inputs will do; from three on for the MLE case, which refuses fewer (above)."""
     out = StatisticalRelighter(statistics)(people[12:13, :inputs], lights[25:26], source_lights=lights[:inputs], method=method)

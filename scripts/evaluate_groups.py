@@ -1,0 +1,114 @@
+"""Several pixels at a time (5.5): error against the group's size, the number of heads and the covariance's estimator, and det C_m.
+
+python scripts/evaluate_groups.py --json groups.json --figure groups.png
+
+The input is lit from the side, the output from the front, as in figures 5.9 and 5.10; people are held-out rendered heads. Tells which of
+the three causes suspected in 5.5.2 (the criterion of grouping, the greedy algorithm, too few data) makes the thesis's images noisy.
+"""
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import torch
+from matplotlib.figure import Figure
+from torch.utils.data import DataLoader
+from tqdm import tqdm
+
+from facerelight.config import TrainConfig
+from facerelight.lights import light_from_angles
+from facerelight.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
+from facerelight.shrinkage import KINDS
+from facerelight.statistics import FaceStatistics
+from facerelight.training import make_dataset
+from facerelight.views import LightViews
+
+SOURCE, TARGET = (70.0, 0.0), (0.0, 0.0)
+
+
+def render(config: TrainConfig, folder: Path) -> torch.Tensor:
+    """Images ``(N, J, H, W)`` of all heads of ``config``, kept in ``folder``."""
+    path = folder / f"groups_{config.key()}.pt"
+    if not path.exists():
+        loader = DataLoader(make_dataset(config), batch_size=None, num_workers=2, collate_fn=lambda x: x, multiprocessing_context="fork")
+        torch.save(torch.stack([head.images for head in tqdm(loader, desc="rendering heads")]), path)
+    return torch.load(path, weights_only=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--counts", type=int, nargs="+", default=[100, 400, 1000], help="bootstrap sizes N")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 5, 10, 30], help="pixels a group r")
+    parser.add_argument("--people", type=int, default=20, help="held-out heads")
+    parser.add_argument("--lights", type=int, default=20)
+    parser.add_argument("--height", type=int, default=48)
+    parser.add_argument("--width", type=int, default=42)
+    parser.add_argument("--cache", default=None)
+    parser.add_argument("--json", default=None)
+    parser.add_argument("--figure", default=None)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        config = TrainConfig(
+            heads=max(args.counts) + args.people, lights=args.lights, height=args.height, width=args.width, margin=0.0, supersample=1
+        )
+        images = render(config, Path(args.cache or temporary))
+    lights = config.directions()
+    source = lights[(lights @ light_from_angles(*SOURCE)).argmax()][None]
+    target = lights[(lights @ light_from_angles(*TARGET)).argmax()]
+    tests = images[-args.people :]
+    j, q = int((lights @ source[0]).argmax()), int((lights @ target).argmax())
+    rows = []
+    for count in args.counts:
+        chosen = images[:count]
+        views = LightViews(FaceStatistics.fit(chosen, lights, rank=2))
+        samples = chosen[:100].flatten(0, 1).flatten(1)
+        for grouping in ("correlation", "random"):
+            for size in args.sizes:
+                pixels = samples.shape[1]
+                groups = (
+                    group_by_correlation(samples, size)
+                    if grouping == "correlation"
+                    else random_groups(pixels, size, torch.Generator().manual_seed(0))
+                )
+                for kind in KINDS:
+                    relighter = GroupRelighter(views, make_regions(groups), kind)
+                    out = [relighter(person[j][None], source, target) for person in tests]
+                    made = torch.stack([o.mean for o in out]).clamp(0, 1)
+                    rmse = float((made - tests[:, q].clamp(0, 1)).square().mean((1, 2)).sqrt().mean() * 255)
+                    log_det = float(out[0].log_det.sum() / pixels)
+                    promised = float(torch.stack([o.variance for o in out]).mean().sqrt() * 255)
+                    rows.append(
+                        {"heads": count, "grouping": grouping, "r": size, "covariance": kind, "rmse": rmse}
+                        | {"promised_rmse": promised, "log_det_per_pixel": log_det}
+                    )
+                    print(rows[-1], flush=True)
+                    if size == 1:
+                        break  # one pixel: nothing to shrink between pixels
+    if args.json:
+        Path(args.json).write_text(json.dumps({"people": args.people, "size": [args.height, args.width], "results": rows}, indent=2))
+    if args.figure:
+        draw(rows, args.figure)
+
+
+def draw(rows: list[dict], path: str) -> None:
+    """Error against r, a panel for each N, a line for each estimator."""
+    counts = sorted({row["heads"] for row in rows})
+    figure = Figure(figsize=(3.4 * len(counts), 3), layout="constrained")
+    for axis, count in zip(figure.subplots(1, len(counts), sharey=True, squeeze=False)[0], counts, strict=True):
+        for grouping, style in (("correlation", "-"), ("random", ":")):
+            for kind in KINDS:
+                line = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["covariance"] in (kind,)]
+                first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1]
+                points = sorted({(row["r"], row["rmse"]) for row in first + line})
+                axis.plot(*zip(*points, strict=True), style, marker=".", label=f"{kind}, {grouping}", color=f"C{KINDS.index(kind)}")
+        axis.set_xscale("log")
+        axis.set_xlabel("pixels a group r")
+        axis.set_title(f"N = {count} heads", fontsize=9)
+    figure.axes[0].set_ylabel("RMSE, grey levels")
+    figure.axes[-1].legend(fontsize=6)
+    figure.savefig(path)
+
+
+if __name__ == "__main__":
+    main()
