@@ -14,7 +14,7 @@ from facerelight.bootstrap.skin import Domain
 from facerelight.config import TrainConfig, default_statistics_folder
 from facerelight.statistics import FitOptions
 
-__all__ = ["main"]
+__all__ = ["main", "read_config"]
 
 METHODS = ("expected", "map", "mle")
 
@@ -78,9 +78,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"facerelight: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"facerelight: {error.filename or 'files'}: {error.strerror or error}", file=sys.stderr)
+        return 2
     except RuntimeError as error:
         print(f"facerelight: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("facerelight: interrupted; run the same command again to go on", file=sys.stderr)
+        return 130
 
 
 def _train(arguments: Namespace) -> int:
@@ -98,10 +104,17 @@ def _train(arguments: Namespace) -> int:
     return 0
 
 
+def read_config(path: str | Path) -> TrainConfig:
+    """The training config of a YAML file, checked as the command line checks it."""
+    return _config(_train_parser().parse_args(["--config", str(path)]))
+
+
 def _config(arguments: Namespace) -> TrainConfig:
     values = {field.name: arguments[field.name] for field in fields(TrainConfig)}
-    values["fit"] = FitOptions(**vars(values["fit"]))
-    values["domain"] = Domain(**vars(values["domain"]))
+    for name, kind in (("fit", FitOptions), ("domain", Domain)):
+        if not isinstance(values[name], Namespace):
+            raise ValueError(f"{name}: expected a mapping of options, got {values[name]!r}")
+        values[name] = kind(**vars(values[name]))
     return TrainConfig(**values)
 
 

@@ -15,7 +15,8 @@ from torch import Tensor
 from facerelight.alignment import CropFrame
 from facerelight.bootstrap.skin import Domain
 from facerelight.lights import even_hemisphere, merge_repeats, thesis_grid
-from facerelight.statistics import FORMAT_VERSION, FitOptions
+from facerelight.statistics import FitOptions
+from facerelight.statistics_file import FORMAT_VERSION
 
 __all__ = ["DEFAULT_CONFIG", "TrainConfig", "cache_folder", "default_statistics_folder"]
 
@@ -49,10 +50,21 @@ class TrainConfig:
     fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40, brightness=True))
 
     def __post_init__(self) -> None:
-        if self.heads < 2:
-            raise ValueError(f"heads: expected at least 2, got {self.heads}")
-        if self.lights != "paper" and int(self.lights) < 4:
-            raise ValueError(f"lights: expected 'paper' or at least 4, got {self.lights}")
+        least = {"heads": 2, "height": 16, "width": 16, "supersample": 1, "seed": 0}
+        for name, smallest in least.items():
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < smallest:
+                raise ValueError(f"{name}: expected an integer of at least {smallest}, got {value!r}")
+        if self.lights != "paper" and (not isinstance(self.lights, int) or self.lights < 4):
+            raise ValueError(f"lights: expected 'paper' or at least 4, got {self.lights!r}")
+        if not isinstance(self.margin, int | float) or not 0 <= self.margin <= 2:
+            raise ValueError(f"margin: expected a fraction from 0 to 2, got {self.margin!r}")
+        if self.effects not in ("auto", "all"):
+            raise ValueError(f"effects: expected 'auto' or 'all', got {self.effects!r}")
+        if not self.source:
+            raise ValueError("source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got nothing")
+        if not isinstance(self.domain, Domain) or not isinstance(self.fit, FitOptions):
+            raise ValueError("domain, fit: expected mappings of options")
 
     @property
     def frame(self) -> CropFrame:

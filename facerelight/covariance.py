@@ -13,7 +13,9 @@ from torch import Tensor
 
 from facerelight.statistics import FaceLoadings, FaceStatistics, PixelStatistics
 
-__all__ = ["LightTerms", "deviation_covariance", "image_covariance", "light_terms", "loadings_at", "prior_mean"]
+__all__ = ["LightTerms", "deviation_covariance", "image_covariance", "light_terms", "loadings_at", "observed", "prior_mean"]
+
+MEASUREMENT = 1e-8
 
 
 class LightTerms(NamedTuple):
@@ -41,7 +43,7 @@ def light_terms(statistics: FaceStatistics, pixel: PixelStatistics, lights: Tens
     narrow = std * (1 - own).clamp_min(0).sqrt()
     lost = torch.zeros_like(std)
     if face is not None:
-        kept = ((weights @ face.basis.T) @ face.v.flatten(2).transpose(0, 1).flatten(1)).unflatten(1, (len(face.v), -1))
+        kept = ((weights @ face.basis.T) @ face.v.flatten(2).transpose(0, 1).flatten(1)).reshape(len(lights), len(face.v), std.shape[1])
         lost = (weights @ face.v_power.flatten(1) - kept.square().sum(1)).clamp_min(0).sqrt()
     return LightTerms(lights, weights, std, factor * std[:, None], narrow, lost)
 
@@ -57,8 +59,8 @@ def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: 
     Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
     """
     unique = 1 - pixel.v_factor.flatten(2).square().sum(1)  # (J, P)
-    paired = (a.weights[:, None] * b.weights[None]).flatten(0, 1) @ unique  # (A B, P)
-    paired = paired.double().unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
+    paired = (a.weights.double()[:, None] * b.weights.double()[None]).flatten(0, 1) @ unique.double()  # (A B, P)
+    paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
     narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
     narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]
     return torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
@@ -71,8 +73,18 @@ def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: Ligh
     return normal + deviation_covariance(statistics, pixel, a, b)
 
 
+def observed(covariance: Tensor) -> Tensor:
+    """Covariance ``(P, K, K)`` of what a camera records: a relative variance of 1e-8 of its own at every observation.
+
+    That is far below a grey level, so inputs are still returned exactly; but two lights nearer than about 1e-4 rad count as one, where
+    otherwise the rounding of the images would be blown up without bound.
+    """
+    own = torch.diag_embed(MEASUREMENT * covariance.diagonal(dim1=-2, dim2=-1))
+    return covariance + own
+
+
 def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:
     """Loadings of the images under ``lights (A, 3)``: ``Lambda_n^T s + w(s).Lambda_v``, ``(A, k, P)``."""
     mixed = torch.cat((lights, statistics.weights(lights) @ face.basis.T), -1)  # (A, 3 + m)
     both = torch.cat((face.n.flatten(2), face.v.flatten(2)), 1).transpose(0, 1)  # (3 + m, k, P)
-    return (mixed @ both.flatten(1)).unflatten(1, both.shape[1:])
+    return (mixed @ both.flatten(1)).reshape(len(lights), *both.shape[1:])

@@ -26,6 +26,7 @@ __all__ = [
     "solve_upper",
 ]
 
+ROUNDING = 1e-6  # of the largest variance; more below zero than this is no rounding
 JITTER_STEPS = (1e-12, 1e-10, 1e-8, 1e-6)  # relative to the mean diagonal
 
 
@@ -92,7 +93,17 @@ def solve_upper(factor: Tensor, right: Tensor) -> Tensor:
 
 
 def positive_variance(variance: Tensor) -> Tensor:
-    """``variance`` with what rounding left below zero set to zero."""
+    """``variance`` with what rounding left below zero set to zero.
+
+    Warns:
+        NumericalWarning: some lie further below zero than rounding explains; says how many.
+    """
+    floor = -ROUNDING * float(variance.abs().amax()) if variance.numel() else 0.0
+    below = int((variance < floor).sum())
+    if below:
+        warnings.warn(
+            f"{below} of {variance.numel()} variances were negative, down to {float(variance.min()):g}", NumericalWarning, stacklevel=2
+        )
     return variance.clamp_min(0)
 
 

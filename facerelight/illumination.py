@@ -65,6 +65,11 @@ class KernelIlluminationEstimator(nn.Module):
             ("weight", weight),
         ):
             self.register_buffer(name, tensor)
+        count, pixels = len(prototypes), weight.numel()
+        wanted = ((count, pixels), (count, 3), (count,), (3,), (3, 3))
+        got = tuple(tuple(t.shape) for t in (prototypes, prototype_lights, widths, bias, error_factor))
+        if got != wanted or not all(torch.isfinite(tensor).all() for tensor in self.buffers()):
+            raise ValueError(f"light estimator: expected finite buffers of shapes {wanted}, got {got}")
 
     @classmethod
     def fit(

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from facerelight import gaussian
-from facerelight.covariance import deviation_covariance, light_terms
+from facerelight.covariance import deviation_covariance, light_terms, observed
 from facerelight.lights import unit_lights
 from facerelight.posterior import Relit
 from facerelight.statistics import FaceStatistics
@@ -40,7 +40,7 @@ class MaximumLikelihood:
                 f" condition number {condition:.3g}; give more lights or use method='expected'"
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
-        self.factor = gaussian.safe_cholesky(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms))  # (P, K, K)
+        self.factor = gaussian.safe_cholesky(observed(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)))  # (P, K, K)
         average = statistics.weights(self.lights) @ statistics.v_mean.flatten(1)
         residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
         design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)

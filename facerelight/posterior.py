@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from facerelight import gaussian
-from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, prior_mean
+from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, observed, prior_mean
 from facerelight.lights import unit_lights
 from facerelight.mixture import mixture_mode
 from facerelight.statistics import FaceStatistics
@@ -61,7 +61,7 @@ class PersonPosterior:
         assert pixel is not None
         self.pixel = pixel
         self.visible = None if mask is None else mask.flatten().double()
-        observed = images.flatten(1)
+        pixels = images.flatten(1)
         self.n_map = torch.zeros_like(statistics.n_mean.flatten(1))
         self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
@@ -70,19 +70,19 @@ class PersonPosterior:
         seen = hypotheses.square().sum(-1) > 0
         for lights, kept in zip(hypotheses, seen, strict=True):
             if kept.any():
-                self._add(observed[kept], unit_lights(lights[kept]), 1 / len(hypotheses))
+                self._add(pixels[kept], unit_lights(lights[kept]), 1 / len(hypotheses))
         self.prior_share = 1 - len(self.evidence) / len(hypotheses)
         self.n_map += self.prior_share * statistics.n_mean.flatten(1)
         self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
-    def _add(self, observed: Tensor, lights: Tensor, share: float) -> None:
+    def _add(self, images: Tensor, lights: Tensor, share: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)
-        cholesky = gaussian.safe_cholesky(covariance)  # (P, K, K)
+        cholesky = gaussian.safe_cholesky(observed(covariance))  # (P, K, K)
         expected = prior_mean(statistics, lights)
-        gain = self._gain(observed, expected, terms.weights)
-        residual = (observed / gain - expected).double().T[..., None]  # (P, K, 1)
+        gain = self._gain(images, expected, terms.weights)
+        residual = (images / gain - expected).double().T[..., None]  # (P, K, 1)
         whitened = gaussian.solve_lower(cholesky, residual)
         inputs = None
         if self.face is not None:
@@ -91,7 +91,7 @@ class PersonPosterior:
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
-            self._explain(code[:, 0].to(observed), share * gain)
+            self._explain(code[:, 0].to(images), share * gain)
         solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T  # g, (K, P)
         self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
         share *= gain
@@ -99,21 +99,21 @@ class PersonPosterior:
         self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)
-        facing = (lights.double().T @ solved).to(observed)  # S g, (3, P)
+        facing = (lights.double().T @ solved).to(images)  # S g, (3, P)
         self.n_map += share * torch.einsum("dcp,ecp,ep->dp", root, root, facing)
         learned = pixel.v_factor.flatten(2)
         unique = 1 - learned.square().sum(1)
-        shared = (terms.factor * solved[:, None]).sum(0).to(observed)  # (r, P)
-        own = (terms.weights.double().T @ (terms.std * solved)).to(observed)  # (J, P)
+        shared = (terms.factor * solved[:, None]).sum(0).to(images)  # (r, P)
+        own = (terms.weights.double().T @ (terms.std * solved)).to(images)  # (J, P)
         self.pull += share * ((learned * shared).sum(1) + unique * own)
 
-    def _gain(self, observed: Tensor, expected: Tensor, weights: Tensor) -> float:
+    def _gain(self, images: Tensor, expected: Tensor, weights: Tensor) -> float:
         """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as its noise demands."""
         spread = float(self.statistics.gain_spread)
         if spread == 0:
             return 1.0
         weight = torch.ones_like(expected[0]) if self.visible is None else self.visible.to(expected)
-        read = ((observed * expected) @ weight / (expected.square() @ weight).clamp_min(1e-12)).clamp_min(1e-3).log()
+        read = ((images * expected) @ weight / (expected.square() @ weight).clamp_min(1e-12)).clamp_min(1e-3).log()
         trust = 1 / (weights @ self.statistics.gain_noise).square()
         return float(torch.exp((read * trust).sum() / (1 / spread**2 + trust.sum())))
 

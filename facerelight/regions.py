@@ -23,7 +23,7 @@ class Region(NamedTuple):
 
 
 class GroupRelit(NamedTuple):
-    """``mean``, ``variance`` ``(H, W)``, and ``log_det (G,)``, the logarithm of det C_m of every group: how much is left unknown (5.5.1)."""
+    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group: what is left unknown (5.5.1)."""
 
     mean: Tensor
     variance: Tensor
@@ -105,25 +105,29 @@ class GroupRelighter:
         self.source, self.regions, self.shrinkage = source, regions, shrinkage
 
     def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
-        """Render ``images (K, H, W)`` of one person, taken under ``source_views``, under ``target_view``."""
+        """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``."""
         size = self.source.size
-        if images.dim() != 3 or tuple(images.shape[1:]) != size or len(source_views) != len(images) or len(images) == 0:
-            raise ValueError(f"images: expected (K, {size[0]}, {size[1]}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}")
+        if images.dim() != 4 or tuple(images.shape[2:]) != size or len(source_views) != images.shape[1] or not images.shape[1]:
+            raise ValueError(
+                f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views, got {tuple(images.shape)} and {len(source_views)} views"
+            )
         known = self.source.fields([target_view, *source_views])
-        residual = (images.flatten(1) - known.mean[1:]).double()
-        mean, variance = known.mean[0].double(), torch.zeros(size[0] * size[1], dtype=torch.float64)
+        residual = (images.flatten(2) - known.mean[1:]).double()  # (B, K, P)
+        mean = known.mean[0].double().repeat(len(images), 1)
+        variance = torch.zeros_like(mean[0])
         log_det = []
         for region in self.regions:
             for outputs, inputs in zip(region.outputs.split(256), region.inputs.split(256), strict=True):
                 covariance = self._covariance(known.fields, known.local, outputs, inputs)
                 r = outputs.shape[1]
-                y = residual[:, inputs].transpose(0, 1).flatten(1)  # (T, K r_in), view by view
-                zero = torch.zeros_like(y)
+                y = residual[:, :, inputs].transpose(1, 2).flatten(2)  # (B, T, K r_in), view by view
+                zero = torch.zeros_like(y[0])
                 given = condition_gaussian(zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y)
-                mean[outputs] += given.mean
+                mean[:, outputs] += given.mean
                 variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2))
                 log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1))
-        return GroupRelit(mean.to(images).view(size), variance.to(images).view(size), torch.cat(log_det))
+        spread = variance.to(images).view(size).expand(len(images), -1, -1)
+        return GroupRelit(mean.to(images).unflatten(1, size), spread, torch.cat(log_det))
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
         """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""

@@ -185,6 +185,6 @@ class StatisticalRelighter(nn.Module):
         if path.exists():
             try:
                 estimator = KernelIlluminationEstimator(**load_file(path))
-            except (OSError, SafetensorError, TypeError) as error:
+            except (OSError, SafetensorError, TypeError, ValueError) as error:
                 raise ValueError(f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`") from error
         return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator)

@@ -7,18 +7,16 @@ blocks of pixels: one gathers N x N and J x J Gram matrices, one applies the N x
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from facerelight import gaussian
 from facerelight.kernels import kernel_weights, neighbour_widths
 from facerelight.lights import angular_distance, merge_repeats, unit_lights
+from facerelight.statistics_file import read_tensors, write_tensors
 from facerelight.store import ImageStore
 from facerelight.subjects import (
     Brightness,
@@ -35,7 +33,6 @@ from facerelight.subjects import (
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 
-FORMAT_VERSION = 1
 GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
 
 
@@ -69,8 +66,9 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.rank < 0 or self.face_rank < 0 or self.basis < 1 or self.block < 1:
             raise ValueError(f"statistics: expected ranks >= 0 and basis, block >= 1, got {self}")
-        if not (self.temper >= 1 and self.nugget_width > 0 and self.floor > 0):
-            raise ValueError(f"statistics: expected temper >= 1, nugget_width > 0 and floor > 0, got {self}")
+        widths = self.nugget_width > 0 and (self.kernel_width is None or self.kernel_width > 0)
+        if not (self.temper >= 1 and widths and self.floor > 0):
+            raise ValueError(f"statistics: expected temper >= 1 and widths, floor > 0, got {self}")
 
 
 class PixelStatistics(nn.Module):
@@ -329,50 +327,32 @@ class FaceStatistics(nn.Module):
     def save(self, path: str | Path) -> None:
         """Write a safetensors file, atomically: tensors, and as metadata the format version, options and ``self.metadata``."""
         _ = self.size
-        path = Path(path)
-        header = {"format": "facerelight-statistics", "version": FORMAT_VERSION, "options": asdict(self.options), **self.metadata}
-        partial = path.with_name(path.name + ".part")
-        tensors = {name: tensor.contiguous() for name, tensor in self.state_dict().items()}
-        save_file(tensors, partial, metadata={"facerelight": json.dumps(header)})
-        partial.replace(path)
+        write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata})
 
     @classmethod
     def load(cls, path: str | Path) -> FaceStatistics:
         """Read what :meth:`save` wrote.
 
         Raises:
-            ValueError: no such file, not a statistics file, of an unknown version, or with tensors missing or misshapen.
+            ValueError: no such file, not a statistics file, of an unknown version, or with tensors missing, misshapen or not finite.
         """
-        path = Path(path)
+        tensors, header = read_tensors(path)
         try:
-            with safe_open(path, framework="pt") as file:
-                header = json.loads((file.metadata() or {}).get("facerelight", "{}"))
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        except (OSError, SafetensorError, json.JSONDecodeError) as error:
-            raise ValueError(f"{path}: expected a statistics file (safetensors), got {error}; train one with `facerelight train`") from error
-        if header.get("format") != "facerelight-statistics" or header.get("version") != FORMAT_VERSION:
-            raise ValueError(
-                f"{path}: expected statistics of version {FORMAT_VERSION}, got {header.get('format')} {header.get('version')}; train anew"
-            )
-        try:
-            statistics = cls(tensors["lights"], FitOptions(**header["options"]))
-            statistics.store = None
-            statistics.metadata = {k: v for k, v in header.items() if k not in ("format", "version", "options")}
-            for name in ("lights", "light_widths", "nugget_width", "gain_spread", "gain_noise", "n_mean", "v_mean"):
-                setattr(statistics, name, tensors[name])
+            options = header.pop("options")
+            statistics = cls(tensors["lights"], FitOptions(**options))  # type: ignore[arg-type]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path}: expected the options and lights of a fit, got {error}; train anew with `facerelight train`") from error
+        statistics.store, statistics.metadata = None, header
 
-            def pixel(prefix: str) -> PixelStatistics:
-                return PixelStatistics(*(tensors[f"{prefix}.{name}"] for name in ("n_factor", "v_std", "v_factor")))
+        def pixel(prefix: str) -> PixelStatistics:
+            return PixelStatistics(*(tensors[f"{prefix}.{name}"] for name in ("n_factor", "v_std", "v_factor")))
 
-            statistics.pixel = pixel("pixel")
-            if "face.n" in tensors:
-                parts = {name: tensors[f"face.{name}"] for name in ("n", "v", "basis", "v_power", "temper")}
-                statistics.face = FaceLoadings(**parts, residual=pixel("face.residual"))
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{path}: expected all tensors of the statistics, but {error} is missing or wrong; train anew") from error
-        for name, tensor in statistics.named_buffers():
-            if not torch.isfinite(tensor).all():
-                raise ValueError(f"{path}: expected finite statistics, got NaN or infinity in {name}; train anew")
+        for name in ("lights", "light_widths", "nugget_width", "gain_spread", "gain_noise", "n_mean", "v_mean"):
+            setattr(statistics, name, tensors[name])
+        statistics.pixel = pixel("pixel")
+        if "face.n" in tensors:
+            parts = {name: tensors[f"face.{name}"] for name in ("n", "v", "basis", "v_power", "temper")}
+            statistics.face = FaceLoadings(**parts, residual=pixel("face.residual"))
         return statistics
 
     def describe(self) -> dict[str, object]:

@@ -35,8 +35,18 @@ class ImageStore:
         return len(self._images) if self.folder is None else len(self._paths())
 
     def __contains__(self, subject: int) -> bool:
-        """Whether subject number ``subject`` is already in the folder."""
-        return self.folder is not None and (self.folder / f"subject_{subject:06d}.npy").exists()
+        """Whether subject number ``subject`` is already in the folder, whole; what is left of a damaged file is removed."""
+        if self.folder is None:
+            return False
+        path = self.folder / f"subject_{subject:06d}.npy"
+        if not path.exists():
+            return False
+        try:
+            np.load(path, mmap_mode="r")
+        except (OSError, ValueError):
+            path.unlink()
+            return False
+        return True
 
     def add(self, images: Tensor, subject: int | None = None) -> None:
         """Keep one subject's ``images`` ``(J, H, W)``; ``subject`` numbers its file (default: the next number)."""
@@ -47,9 +57,12 @@ class ImageStore:
         number = len(self) if subject is None else subject
         path = self.folder / f"subject_{number:06d}.npy"
         partial = path.with_suffix(f".{os.getpid()}.part")
-        with partial.open("wb") as file:
-            np.save(file, array)
-        partial.replace(path)
+        try:
+            with partial.open("wb") as file:
+                np.save(file, array)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
 
     def arrays(self) -> list[np.ndarray]:
         """Every subject's images, memory-mapped where they are files."""

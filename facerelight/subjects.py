@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from facerelight.gaussian import safe_cholesky
 from facerelight.kernels import kernel_weights
 from facerelight.store import ImageStore
 
@@ -104,7 +105,8 @@ def fill_operators(grams: Grams, ridge: float = 0.1) -> dict[int, Tensor]:
             mean = gram[others].mean(0)
             cross = centring @ (gram[others, subject] - mean[others])
             penalty = ridge * spread.diagonal().mean() + 1e-12
-            weights = torch.linalg.solve(spread + penalty * torch.eye(len(others), dtype=torch.float64), cross)
+            factor = safe_cholesky(spread + penalty * torch.eye(len(others), dtype=torch.float64))
+            weights = torch.cholesky_solve(cross[:, None], factor)[:, 0]
             operator[subject] = 0
             operator[subject, others] = centring @ weights + 1 / len(others)
         fill[light] = operator

@@ -25,6 +25,18 @@ from facerelight.training import make_dataset
 from facerelight.views import LightViews
 
 SOURCE, TARGET = (70.0, 0.0), (0.0, 0.0)
+PRINTED = "as printed"  # (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's covariance at the output light; it must be C_v1
+
+
+class PrintedGroups(GroupRelighter):
+    """The thesis's (5.2) to the letter, one input, sample covariance."""
+
+    def _covariance(self, fields: torch.Tensor, local: torch.Tensor, outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+        right = super()._covariance(fields, local, outputs, inputs)
+        swapped = torch.stack((fields[0], fields[1][[0, 0]]))
+        r = outputs.shape[1]
+        right[:, r:, r:] = super()._covariance(swapped, local[:1, :1].expand_as(local), outputs, inputs)[:, r:, r:]
+        return right
 
 
 def render(config: TrainConfig, folder: Path) -> torch.Tensor:
@@ -38,12 +50,13 @@ def render(config: TrainConfig, folder: Path) -> torch.Tensor:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--counts", type=int, nargs="+", default=[100, 400, 1000], help="bootstrap sizes N")
+    parser.add_argument("--counts", type=int, nargs="+", default=[40, 100, 400, 1000], help="bootstrap sizes N")
     parser.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 5, 10, 30], help="pixels a group r")
     parser.add_argument("--people", type=int, default=20, help="held-out heads")
     parser.add_argument("--lights", type=int, default=20)
     parser.add_argument("--height", type=int, default=48)
     parser.add_argument("--width", type=int, default=42)
+    parser.add_argument("--kernel-width", type=float, default=0.05, help="of the lights' kernel; narrow: both lights are bootstrap lights")
     parser.add_argument("--cache", default=None)
     parser.add_argument("--json", default=None)
     parser.add_argument("--figure", default=None)
@@ -61,7 +74,7 @@ def main() -> None:
     rows = []
     for count in args.counts:
         chosen = images[:count]
-        views = LightViews(FaceStatistics.fit(chosen, lights, rank=2))
+        views = LightViews(FaceStatistics.fit(chosen, lights, rank=2, kernel_width=args.kernel_width))
         samples = chosen[:100].flatten(0, 1).flatten(1)
         for grouping in ("correlation", "random"):
             for size in args.sizes:
@@ -71,20 +84,21 @@ def main() -> None:
                     if grouping == "correlation"
                     else random_groups(pixels, size, torch.Generator().manual_seed(0))
                 )
-                for kind in KINDS:
-                    relighter = GroupRelighter(views, make_regions(groups), kind)
-                    out = [relighter(person[j][None], source, target) for person in tests]
-                    made = torch.stack([o.mean for o in out]).clamp(0, 1)
+                for kind in (*KINDS, PRINTED):
+                    if size == 1 and kind not in ("sample", PRINTED):
+                        continue  # one pixel: nothing to shrink between pixels
+                    regions = make_regions(groups)
+                    relighter = PrintedGroups(views, regions, "sample") if kind == PRINTED else GroupRelighter(views, regions, kind)
+                    out = relighter(tests[:, j : j + 1], source, target)
+                    made = out.mean.clamp(0, 1)
                     rmse = float((made - tests[:, q].clamp(0, 1)).square().mean((1, 2)).sqrt().mean() * 255)
-                    log_det = float(out[0].log_det.sum() / pixels)
-                    promised = float(torch.stack([o.variance for o in out]).mean().sqrt() * 255)
+                    log_det = float(out.log_det.sum() / pixels)
+                    promised = float(out.variance.mean().sqrt() * 255)
                     rows.append(
                         {"heads": count, "grouping": grouping, "r": size, "covariance": kind, "rmse": rmse}
                         | {"promised_rmse": promised, "log_det_per_pixel": log_det}
                     )
                     print(rows[-1], flush=True)
-                    if size == 1:
-                        break  # one pixel: nothing to shrink between pixels
     if args.json:
         Path(args.json).write_text(json.dumps({"people": args.people, "size": [args.height, args.width], "results": rows}, indent=2))
     if args.figure:
@@ -97,11 +111,11 @@ def draw(rows: list[dict], path: str) -> None:
     figure = Figure(figsize=(3.4 * len(counts), 3), layout="constrained")
     for axis, count in zip(figure.subplots(1, len(counts), sharey=True, squeeze=False)[0], counts, strict=True):
         for grouping, style in (("correlation", "-"), ("random", ":")):
-            for kind in KINDS:
+            for index, kind in enumerate((*KINDS, PRINTED)):
                 line = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["covariance"] in (kind,)]
-                first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1]
+                first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1 and kind != PRINTED]
                 points = sorted({(row["r"], row["rmse"]) for row in first + line})
-                axis.plot(*zip(*points, strict=True), style, marker=".", label=f"{kind}, {grouping}", color=f"C{KINDS.index(kind)}")
+                axis.plot(*zip(*points, strict=True), style, marker=".", label=f"{kind}, {grouping}", color=f"C{index}")
         axis.set_xscale("log")
         axis.set_xlabel("pixels a group r")
         axis.set_title(f"N = {count} heads", fontsize=9)

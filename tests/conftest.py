@@ -56,3 +56,14 @@ def posed(tmp_path_factory: pytest.TempPathFactory):
     from facerelight.pose import BootstrapViews
 
     return BootstrapViews(TrainConfig(heads=12, height=48, width=42, supersample=1), tmp_path_factory.mktemp("views"))
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Statistics of the tiny config, trained through the command line."""
+    from facerelight.cli import main
+
+    path = tmp_path_factory.mktemp("tiny")
+    config = Path(__file__).parent.parent / "configs" / "tiny.yaml"
+    assert main(["train", "--config", str(config), "--output", str(path), "--workers", "0"]) == 0
+    return path

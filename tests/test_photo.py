@@ -18,14 +18,6 @@ MARKS = ((202.0, 101.0), (247.0, 103.0), (221.0, 144.0))
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    """Statistics of the tiny config, trained through the command line."""
-    path = tmp_path_factory.mktemp("tiny")
-    assert main(["train", "--config", str(CONFIG), "--output", str(path), "--workers", "0"]) == 0
-    return path
-
-
-@pytest.fixture(scope="module")
 def astronaut() -> np.ndarray:
     return pytest.importorskip("skimage.data", reason="scikit-image carries the photo").astronaut()
 

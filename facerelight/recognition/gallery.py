@@ -132,8 +132,10 @@ class Gallery:
             state.classes_, state.reject = header["names"], header["reject"]
             state.means, state.bases, state.dimensions = (tensors[name] for name in ("means", "bases", "dimensions"))
             height, width = relighter.statistics.size
-            if state.bases.shape[:2] != (len(header["names"]), height * width) or not torch.isfinite(state.bases).all():
-                raise ValueError(f"expected finite bases of {len(header['names'])} people at {height} x {width}, got {tuple(state.bases.shape)}")
-        except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
+            people, pixels = len(header["names"]), height * width
+            fits = state.bases.dim() == 3 and state.bases.shape[:2] == state.means.shape == (people, pixels) and len(state.dimensions) == people
+            if not fits or not torch.isfinite(state.bases).all() or not torch.isfinite(state.means).all():
+                raise ValueError(f"expected finite bases of {people} people at {height} x {width}, got {tuple(state.bases.shape)}")
+        except (OSError, KeyError, TypeError, ValueError, AttributeError, SafetensorError) as error:
             raise ValueError(f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`") from error
         return gallery
