@@ -9,7 +9,9 @@ the three causes suspected in 5.5.2 (the criterion of grouping, the greedy algor
 import argparse
 import json
 import tempfile
+import warnings
 from pathlib import Path
+from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -17,8 +19,9 @@ from torch.utils.data import DataLoader
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
+from facerelight.gaussian import NumericalWarning
 from facerelight.lights import light_from_angles
-from facerelight.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
+from facerelight.regions import GroupRelighter, GroupRelit, group_by_correlation, make_regions, random_groups
 from facerelight.shrinkage import KINDS
 from facerelight.statistics import FaceStatistics
 from facerelight.training import make_dataset
@@ -29,7 +32,12 @@ PRINTED = "as printed"  # (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's
 
 
 class PrintedGroups(GroupRelighter):
-    """The thesis's (5.2) to the letter, one input, sample covariance."""
+    """The thesis's (5.2) to the letter, one input, sample covariance; its variances may come out negative."""
+
+    def __call__(self, *arguments: Any) -> GroupRelit:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NumericalWarning)
+            return super().__call__(*arguments)
 
     def _covariance(self, fields: torch.Tensor, local: torch.Tensor, outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
         right = super()._covariance(fields, local, outputs, inputs)
@@ -112,8 +120,9 @@ def draw(rows: list[dict], path: str) -> None:
     for axis, count in zip(figure.subplots(1, len(counts), sharey=True, squeeze=False)[0], counts, strict=True):
         for grouping, style in (("correlation", "-"), ("random", ":")):
             for index, kind in enumerate((*KINDS, PRINTED)):
-                line = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["covariance"] in (kind,)]
-                first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1 and kind != PRINTED]
+                line = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["covariance"] == kind]
+                first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1]
+                first = [row for row in first if row["covariance"] == ("sample" if kind != PRINTED else PRINTED)]
                 points = sorted({(row["r"], row["rmse"]) for row in first + line})
                 axis.plot(*zip(*points, strict=True), style, marker=".", label=f"{kind}, {grouping}", color=f"C{index}")
         axis.set_xscale("log")
