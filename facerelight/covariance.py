@@ -13,9 +13,20 @@ from torch import Tensor
 
 from facerelight.statistics import FaceLoadings, FaceStatistics, PixelStatistics
 
-__all__ = ["LightTerms", "deviation_covariance", "image_covariance", "light_terms", "loadings_at", "observed", "prior_mean"]
+__all__ = [
+    "LightTerms",
+    "deviation_covariance",
+    "image_covariance",
+    "light_terms",
+    "loadings_at",
+    "narrow_terms",
+    "observed",
+    "prior_mean",
+    "reached",
+]
 
-MEASUREMENT = 1e-8
+MEASUREMENT = 1e-8  # relative variance of an observation
+EVERYWHERE = slice(None)
 
 
 class LightTerms(NamedTuple):
@@ -36,16 +47,34 @@ class LightTerms(NamedTuple):
 def light_terms(statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None) -> LightTerms:
     """Gather the terms of ``lights (A, 3)`` for the per-pixel statistics ``pixel`` (with ``face``: its residual's)."""
     weights = statistics.weights(lights)
-    std = (weights @ pixel.v_std.flatten(1).square()).sqrt()
-    learned = pixel.v_factor.flatten(2)  # (J, r, P)
-    factor = (weights @ learned.flatten(1)).unflatten(1, learned.shape[1:])
-    own = factor.square().sum(1) + weights.square() @ (1 - learned.square().sum(1))  # rho(s, s)
-    narrow = std * (1 - own).clamp_min(0).sqrt()
-    lost = torch.zeros_like(std)
-    if face is not None:
-        kept = ((weights @ face.basis.T) @ face.v.flatten(2).transpose(0, 1).flatten(1)).reshape(len(lights), len(face.v), std.shape[1])
-        lost = (weights @ face.v_power.flatten(1) - kept.square().sum(1)).clamp_min(0).sqrt()
-    return LightTerms(lights, weights, std, factor * std[:, None], narrow, lost)
+    used = reached(weights)
+    std = (weights[:, used] @ pixel.v_std[used].flatten(1).square()).sqrt()
+    learned = pixel.v_factor[used].flatten(2)
+    factor = (weights[:, used] @ learned.flatten(1)).unflatten(1, learned.shape[1:])
+    return LightTerms(lights, weights, std, factor * std[:, None], *narrow_terms(statistics, pixel, lights, face))
+
+
+def narrow_terms(
+    statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None, pixels: slice = EVERYWHERE
+) -> tuple[Tensor, Tensor]:
+    """``narrow`` and ``lost`` of :func:`light_terms`, ``(A, P)`` each, at some ``pixels``."""
+    weights = statistics.weights(lights)
+    used = reached(weights)
+    near = weights[:, used]
+    variance = pixel.v_std.flatten(1)[:, pixels][used].square()  # (J', P)
+    learned = pixel.v_factor.flatten(2)[..., pixels][used].transpose(0, 1)  # (r, J', P)
+    own = (near @ learned).square_().sum(0).addmm_(near.square(), 1 - learned.square().sum(0))  # rho(s, s)
+    narrow = (1 - own).clamp_min_(0).mul_(near @ variance).sqrt_()
+    if face is None:
+        return narrow, torch.zeros_like(narrow)
+    kept = ((weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]).square_().sum(0)  # of (k, A, P)
+    lost = (near @ face.v_power.flatten(1)[:, pixels][used]).sub_(kept)
+    return narrow, lost.clamp_min_(0).sqrt_()
+
+
+def reached(weights: Tensor) -> Tensor:
+    """Which of the J bootstrap lights the kernel weights ``(A, J)`` reach: the maps of the others need not be read."""
+    return (weights > 0).any(0).nonzero()[:, 0]
 
 
 def prior_mean(statistics: FaceStatistics, lights: Tensor) -> Tensor:
@@ -58,8 +87,10 @@ def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: 
 
     Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
     """
-    unique = 1 - pixel.v_factor.flatten(2).square().sum(1)  # (J, P)
-    paired = (a.weights.double()[:, None] * b.weights.double()[None]).flatten(0, 1) @ unique.double()  # (A B, P)
+    together = (a.weights.double()[:, None] * b.weights.double()[None]).flatten(0, 1)  # (A B, J)
+    used = reached(together)
+    unique = 1 - pixel.v_factor[used].flatten(2).square().sum(1)  # (J', P)
+    paired = together[:, used] @ unique.double()  # (A B, P)
     paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
     narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
     narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]
@@ -85,6 +116,6 @@ def observed(covariance: Tensor) -> Tensor:
 
 def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:
     """Loadings of the images under ``lights (A, 3)``: ``Lambda_n^T s + w(s).Lambda_v``, ``(A, k, P)``."""
-    mixed = torch.cat((lights, statistics.weights(lights) @ face.basis.T), -1)  # (A, 3 + m)
-    both = torch.cat((face.n.flatten(2), face.v.flatten(2)), 1).transpose(0, 1)  # (3 + m, k, P)
-    return (mixed @ both.flatten(1)).reshape(len(lights), *both.shape[1:])
+    of_n = lights @ face.n.flatten(2)  # (k, A, P)
+    of_v = (statistics.weights(lights) @ face.basis.T) @ face.v.flatten(2)
+    return (of_n + of_v).transpose(0, 1)

@@ -8,14 +8,15 @@ import torch
 from torch import Tensor
 
 from facerelight import gaussian
-from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, observed, prior_mean
+from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, narrow_terms, observed, prior_mean
 from facerelight.lights import unit_lights
 from facerelight.mixture import mixture_mode
 from facerelight.statistics import FaceStatistics
 
 __all__ = ["Components", "Posterior", "Relit"]
 
-NEAR = 1e-7  # kernel values below this cannot change a float32 image
+NEAR = 1e-5  # kernel values below this move a pixel by less than that, full scale being 1
+PIXELS_AT_ONCE = 1024
 
 
 class Relit(NamedTuple):
@@ -65,8 +66,10 @@ class PersonPosterior:
         self.n_map = torch.zeros_like(statistics.n_mean.flatten(1))
         self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
+        self.v_variance = pixel.v_std.flatten(1).square()
         self.codes: list[tuple[Tensor, Tensor]] = []
         self.evidence: list[_Evidence] = []
+        self._left: Tensor | None = None
         seen = hypotheses.square().sum(-1) > 0
         for lights, kept in zip(hypotheses, seen, strict=True):
             if kept.any():
@@ -102,10 +105,16 @@ class PersonPosterior:
         facing = (lights.double().T @ solved).to(images)  # S g, (3, P)
         self.n_map += share * torch.einsum("dcp,ecp,ep->dp", root, root, facing)
         learned = pixel.v_factor.flatten(2)
-        unique = 1 - learned.square().sum(1)
+        unique = self._unique()
         shared = (terms.factor * solved[:, None]).sum(0).to(images)  # (r, P)
         own = (terms.weights.double().T @ (terms.std * solved)).to(images)  # (J, P)
         self.pull += share * ((learned * shared).sum(1) + unique * own)
+
+    def _unique(self) -> Tensor:
+        """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``; worked out once."""
+        if self._left is None:
+            self._left = 1 - self.pixel.v_factor.flatten(2).square().sum(1)
+        return self._left
 
     def _gain(self, images: Tensor, expected: Tensor, weights: Tensor) -> float:
         """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as its noise demands."""
@@ -125,19 +134,37 @@ class PersonPosterior:
         self.v_map += share * (face.basis.T @ torch.tensordot(code, face.v.flatten(2), 1))
 
     def mean(self, targets: Tensor) -> Tensor:
-        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input lights."""
+        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input lights.
+
+        By blocks of pixels: what a block needs stays in the cache, which makes this as fast as the bare products.
+        """
         weights = self.statistics.weights(targets)
-        std = (weights @ self.pixel.v_std.flatten(1).square()).sqrt()
-        image = targets @ self.n_map + weights @ self.v_map + std * (weights @ self.pull)
-        for evidence in self.evidence:
-            kernel = self.statistics.nugget(targets, evidence.terms.light)  # (Q, K)
-            near = kernel.amax(1) > NEAR
-            if near.any():
-                terms = light_terms(self.statistics, self.pixel, targets[near], self.face)
-                narrow = terms.narrow * (kernel[near].double() @ (evidence.terms.narrow * evidence.solved))
-                lost = terms.lost * (kernel[near].double() @ (evidence.terms.lost * evidence.solved))
-                image[near] += evidence.gain * (1 - self.prior_share) / len(self.evidence) * (narrow + lost).to(image)
+        mixed, maps = torch.cat((weights, targets), 1), torch.cat((self.v_map, self.n_map))
+        near = [self._near(targets, evidence) for evidence in self.evidence]
+        image = torch.empty(len(targets), maps.shape[1], dtype=maps.dtype, device=maps.device)
+        for start in range(0, maps.shape[1], PIXELS_AT_ONCE):
+            here = slice(start, start + PIXELS_AT_ONCE)
+            block = (weights @ self.v_variance[:, here]).sqrt_().mul_(weights @ self.pull[:, here]).addmm_(mixed, maps[:, here])
+            for evidence, (rows, kernel) in zip(self.evidence, near, strict=True):
+                if len(rows):
+                    block[rows] += self._narrow(targets[rows], kernel, evidence, here)
+            image[:, here] = block
         return image
+
+    def _near(self, targets: Tensor, evidence: _Evidence) -> tuple[Tensor, Tensor]:
+        """Which targets lie near the input lights, and their kernel values ``(Q', K)`` float64 times this hypothesis's share."""
+        kernel = self.statistics.nugget(targets, evidence.terms.light)
+        rows = (kernel.amax(1) > NEAR).nonzero()[:, 0]
+        return rows, kernel[rows].double() * (evidence.gain * (1 - self.prior_share) / len(self.evidence))
+
+    def _narrow(self, targets: Tensor, kernel: Tensor, evidence: _Evidence, pixels: slice) -> Tensor:
+        """``sigma(s) tau(s) sum_k k(s, s_k) tau(s_k) sigma_v(s_k) g_k`` (4.3), and the like for the loadings' lost variance."""
+        terms = evidence.terms
+        narrow, lost = narrow_terms(self.statistics, self.pixel, targets, self.face, pixels)
+        term = narrow * (kernel @ (terms.narrow * evidence.solved)[:, pixels])
+        if self.face is not None:
+            term += lost * (kernel @ (terms.lost * evidence.solved)[:, pixels])
+        return term.to(self.n_map)
 
     def variance(self, targets: Tensor) -> Tensor:
         """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of their means."""

@@ -33,6 +33,7 @@ from facerelight.subjects import (
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 
+NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
 
 
@@ -308,9 +309,11 @@ class FaceStatistics(nn.Module):
         return vectors[:, -min(self.options.basis, len(self.lights)) :].T.flip(0).float()
 
     def weights(self, lights: Tensor) -> Tensor:
-        """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``."""
+        """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so few count."""
         squared = (lights[..., None, :] - self.lights).square().sum(-1)
-        return kernel_weights(squared, self.light_widths)
+        weights = kernel_weights(squared, self.light_widths)
+        weights = torch.where(weights > NEGLIGIBLE, weights, 0.0)
+        return weights / weights.sum(-1, keepdim=True)
 
     def nugget(self, a: Tensor, b: Tensor) -> Tensor:
         """The narrow kernel ``k(|p - q|)`` between lights ``(A, 3)`` and ``(B, 3)``; 1 where they meet."""
