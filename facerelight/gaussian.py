@@ -92,13 +92,13 @@ def solve_upper(factor: Tensor, right: Tensor) -> Tensor:
     return right / factor if factor.shape[-1] == 1 else torch.linalg.solve_triangular(factor.mT, right, upper=True)
 
 
-def positive_variance(variance: Tensor) -> Tensor:
-    """``variance`` with what rounding left below zero set to zero.
+def positive_variance(variance: Tensor, before: Tensor) -> Tensor:
+    """``variance`` with what rounding left below zero set to zero; ``before`` is the variance that something was taken off.
 
     Warns:
         NumericalWarning: some lie further below zero than rounding explains; says how many.
     """
-    floor = -ROUNDING * float(variance.abs().amax()) if variance.numel() else 0.0
+    floor = -ROUNDING * float(before.abs().amax()) if before.numel() else 0.0
     below = int((variance < floor).sum())
     if below:
         warnings.warn(
@@ -167,7 +167,7 @@ class SequentialConditional:
         white = (cross.double() - (row * self._cross).sum(-1)) / pivot
         fresh = (residual.double() - (row * self._white_residuals).sum(-1)) / pivot
         self.mean = self.mean + white * fresh
-        self.variance = positive_variance(self.variance - white.square())
+        self.variance = positive_variance(self.variance - white.square(), self.variance)
         self._white_residuals = torch.cat((self._white_residuals, fresh[..., None]), -1)
         self._cross = torch.cat((self._cross, white[..., None]), -1)
         grown = torch.cat((row, pivot[..., None]), -1)

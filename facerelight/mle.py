@@ -65,8 +65,8 @@ class MaximumLikelihood:
         mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
         missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
         of_normal = gaussian.solve_lower(self._precision, missing).square().sum((1, 2))
-        of_deviation = deviation_covariance(statistics, pixel, terms, terms)[:, 0, 0] - cross.square().sum((1, 2))
-        return mean, of_normal + gaussian.positive_variance(of_deviation)
+        own = deviation_covariance(statistics, pixel, terms, terms)[:, 0, 0]
+        return mean, of_normal + gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
 
     def relight(self, targets: Tensor) -> Relit:
         """Mean and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""

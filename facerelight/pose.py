@@ -154,7 +154,7 @@ class ViewRelighter:
         inputs = gaussian.solve_lower(factor, loadings[:, 1:])  # (P, K, k)
         cross = gaussian.solve_lower(factor, covariance[:, 1:, :1])  # (P, K, 1)
         left = loadings[:, 0] - (cross * inputs).sum(1)  # D, (P, k)
-        own = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2)))
+        own = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2)), covariance[:, 0, 0])
         volume = 2 * factor.diagonal(dim1=1, dim2=2).log().sum()
         results = []
         for person in images:

@@ -202,7 +202,7 @@ class PersonPosterior:
                 variance = variance + (left @ spread).square().sum(-1)
                 mean = mean + (outputs @ code)[:, 0]
             means.append(evidence.gain * mean)
-            variances.append(evidence.gain**2 * gaussian.positive_variance(variance))
+            variances.append(evidence.gain**2 * gaussian.positive_variance(variance, prior))
         weight = [(1 - self.prior_share) / len(means)] * len(means) if means else []
         if self.prior_share > 0:
             means.append(average)

@@ -124,7 +124,8 @@ class GroupRelighter:
                 zero = torch.zeros_like(y[0])
                 given = condition_gaussian(zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y)
                 mean[:, outputs] += given.mean
-                variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2))
+                before = covariance[:, :r, :r].diagonal(dim1=1, dim2=2)
+                variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2), before)
                 log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1))
         spread = variance.to(images).view(size).expand(len(images), -1, -1)
         return GroupRelit(mean.to(images).unflatten(1, size), spread, torch.cat(log_det))

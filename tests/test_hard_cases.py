@@ -390,9 +390,9 @@ def scaled_covariances(w: World) -> None:
 def negative_variances(w: World) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert positive_variance(torch.tensor([1.0, -1e-9], dtype=w.dtype)).tolist() == [1.0, 0.0]
+        assert positive_variance(torch.tensor([1.0, -1e-9], dtype=w.dtype), torch.ones(2)).tolist() == [1.0, 0.0]
     with pytest.warns(NumericalWarning, match="1 of 2 variances"):
-        positive_variance(torch.tensor([1.0, -0.1], dtype=w.dtype))
+        positive_variance(torch.tensor([1.0, -0.1], dtype=w.dtype), torch.ones(2))
 
 
 @case("covariances over 60 lights, half of them 1e-6 rad from the others", "semidefinite to rounding")

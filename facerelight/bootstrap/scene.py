@@ -249,7 +249,7 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
     if exhaustive:  # everything, everywhere
         left, top, right, bottom = 0, 0, size, size
     height = renderer.heights(direction, (left, top, right - left, bottom - top))
-    cosine = (surface.normal[cast] @ light).clamp(0.3, 1)
+    cosine = (surface.normal[cast] @ light).clamp(0.15, 1)
     least = local[:, 2] + texel * (6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine)  # what hides a point stands higher than this
     row, column = row - top, column - left
     if exhaustive:
