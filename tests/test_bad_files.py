@@ -172,6 +172,7 @@ def test_at_least_200_bad_files_are_refused_in_one_line(folder: Path, tmp_path: 
         refused(["recognize", str(path), "--photos", str(good), "--statistics", str(folder)], name)
     for value in ("", "1,2,3", "a,b,c,d,e,f", "1,1,1,1,1,1", "0,0,5,5,9,9", "-900,0,40,0,20,40", "nan,0,40,0,20,40", "1e9,0,40,0,20,40"):
         refused(["relight", f"--landmarks={value}", "--statistics", str(folder), "--output", str(output), str(good)], f"landmarks {value!r}")
+    print(f"{count} bad files refused")
     assert count >= 200, count
     assert not (tmp_path / "never").exists() or not list((tmp_path / "never").rglob("*.safetensors"))
     assert not list(tmp_path.rglob("*.part"))
