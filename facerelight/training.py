@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor
+from torch import Tensor, distributed
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
@@ -61,6 +61,7 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
     """Render the bootstrap, learn the statistics and the light estimator, and save them into ``folder``.
 
     A run that was interrupted goes on from the last finished head: each head's images are a file in ``folder/images`` until the end.
+    Under ``torchrun --nproc-per-node N -m facerelight.cli train`` the processes share the heads out among themselves.
 
     Args:
         config: what to learn.
@@ -72,26 +73,34 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
     """
     folder = Path(folder)
-    _start_images(folder, config)
+    rank, processes = _join_processes()
+    if rank == 0:
+        _start_images(folder, config)
+    _wait(processes)
     started = time.perf_counter()
     dataset = make_dataset(config)
     statistics = FaceStatistics(config.directions(), config.fit, ImageStore(folder / "images"))
     assert statistics.store is not None
-    todo = [index for index in range(config.heads) if index not in statistics.store]
+    todo = [index for index in range(rank, config.heads, processes) if index not in statistics.store]
+    workers = min(workers, len(todo)) if processes == 1 else 0
     loader = DataLoader(
         Subset(dataset, todo),
         batch_size=None,
-        num_workers=min(workers, len(todo)),
+        num_workers=workers,
         collate_fn=_as_is,
         worker_init_fn=_one_thread,
-        multiprocessing_context="spawn" if workers and todo else None,
+        multiprocessing_context="spawn" if workers else None,
     )
     work: Counter[str] = Counter()
-    for subject, images, done in tqdm(loader, desc="rendering heads", disable=not sys.stderr.isatty()):
+    for subject, images, done in tqdm(loader, desc="rendering heads", disable=not sys.stderr.isatty() or rank > 0):
         statistics.update(images, subject=int(subject))
         work.update(done)
     dataset.close()
+    _wait(processes)
     rendered = time.perf_counter()
+    if rank > 0:  # the first process solves: the images of all are files in one folder
+        _wait(processes)
+        return {"process": rank, "heads": len(todo), "render_seconds": round(rendered - started, 1)}
     print(f"solving statistics of {config.heads} heads", file=sys.stderr)
     statistics.solve()
     images = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()[:60]])
@@ -111,6 +120,7 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
         "work": dict(sorted(work.items())),
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2))
+    _wait(processes)
     return report
 
 
@@ -131,6 +141,23 @@ def _start_images(folder: Path, config: TrainConfig) -> None:
     if marker.exists() and marker.read_text() != text:
         raise ValueError(f"{folder}: holds a run of another config; choose another folder or remove it")
     marker.write_text(text)
+
+
+def _join_processes() -> tuple[int, int]:
+    """Rank and number of processes under ``torchrun``; 0 and 1 without it. Each of several is held to one thread."""
+    processes = int(os.environ.get("WORLD_SIZE", "1"))
+    if processes == 1:
+        return 0, 1
+    if not distributed.is_initialized():
+        distributed.init_process_group("gloo")
+    _one_thread(0)
+    return distributed.get_rank(), processes
+
+
+def _wait(processes: int) -> None:
+    """Until all processes are here."""
+    if processes > 1:
+        distributed.barrier()
 
 
 def _one_thread(_: int) -> None:
