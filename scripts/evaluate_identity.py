@@ -87,11 +87,13 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=20, help="held-out rendered heads")
     parser.add_argument("--height", type=int, default=96)
     parser.add_argument("--width", type=int, default=84)
+    parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
     parser.add_argument("--json", type=Path, default=None)
     args = parser.parse_args()
     torch.set_grad_enabled(False)
+    unknown_gain = args.exposure == "estimated"
     images, lights = rendered(args.heads, args.people, args.height, args.width)
-    learned = FaceStatistics.fit(images[: args.heads], lights, None, FitOptions(face_rank=40, brightness=True))
+    learned = FaceStatistics.fit(images[: args.heads], lights, None, FitOptions(face_rank=40, brightness=unknown_gain))
     strangers = images[args.heads :]
     everything = torch.ones(strangers.shape[:2], dtype=torch.bool)
     results = {"rendered": summary([measure(learned, strangers, everything, lights, 0, 1)])}
@@ -104,7 +106,7 @@ def main() -> None:
         parts = []
         for fold in range(4):
             out = torch.arange(len(images)) % 4 == fold
-            learned = FaceStatistics.fit(images[~out], faces.lights, valid[~out], FitOptions(face_rank=18, brightness=True))
+            learned = FaceStatistics.fit(images[~out], faces.lights, valid[~out], FitOptions(face_rank=18, brightness=unknown_gain))
             parts.append(measure(learned, images[out], valid[out], faces.lights, source, target))
         results["yale"] = summary(parts)
     print(json.dumps(results, indent=2))
