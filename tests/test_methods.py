@@ -209,8 +209,8 @@ def test_mle_is_progressive(statistics: FaceStatistics, lights: torch.Tensor) ->
         out = fixed.render(lights[20])[1]
         if before is not None:
             growth = torch.linalg.eigvalsh(covariance - before).amax(-1)
-            assert (growth <= 1e-7 * before.diagonal(dim1=1, dim2=2).sum(-1)).all()
-            assert (out <= variance + 1e-9).all()
+            assert (growth <= 1e-6 * before.diagonal(dim1=1, dim2=2).sum(-1)).all()
+            assert (out <= variance * (1 + 1e-5) + 1e-9).all()
         before, variance = covariance, out
 
 
