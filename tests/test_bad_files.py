@@ -224,6 +224,25 @@ def bad_galleries() -> dict[str, tuple[bytes, str]]:
     }  # fmt: skip
 
 
+def test_odd_meshes_are_read_rightly(tmp_path: Path) -> None:
+    """A million faces, no normals in the file, several bodies in one scene."""
+    import trimesh
+
+    from facerelight.bootstrap.heads import MeshFolder
+
+    large = trimesh.creation.icosphere(subdivisions=8)
+    assert len(large.faces) > 1_000_000
+    large.export(tmp_path / "a_large.ply", vertex_normal=False)
+    trimesh.Scene([trimesh.creation.icosphere(), trimesh.creation.box()]).export(tmp_path / "b_scene.glb")
+    for name in ("a_large", "b_scene"):
+        (tmp_path / f"{name}.points.txt").write_text(POINTS)
+    heads = MeshFolder(tmp_path)
+    assert len(heads.head(0).triangles) == len(large.faces)
+    scene = heads.head(1)
+    assert len(scene.triangles) == len(trimesh.creation.icosphere().faces) + 12
+    assert np.isfinite(scene.normals()).all()
+
+
 def test_places_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = tmp_path / "good.png"
     good.write_bytes(encoded("PNG"))

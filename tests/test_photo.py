@@ -98,6 +98,32 @@ def test_command_line(folder: Path, astronaut: np.ndarray, tmp_path, capsys) -> 
     assert all(Path(p).exists() for p in report["output"])
 
 
+def test_methods_from_the_command_line(folder: Path, astronaut: np.ndarray, tmp_path, capsys) -> None:
+    """The most probable image; n without a prior from four photos, and refused from one; further photos as evidence."""
+    relighter = StatisticalRelighter.from_pretrained(folder)
+    photos = [tmp_path / f"{azimuth}.png" for azimuth in (0, 50, -50)]
+    for path, light in zip(photos, ((0, 0), (50, 0), (-50, 0)), strict=True):
+        Image.fromarray(relight(astronaut, *light, MARKS, relighter)).save(path)
+    above = tmp_path / "above.png"
+    Image.fromarray(relight(astronaut, 0, 45, MARKS, relighter)).save(above)
+    everybody = [str(path) for path in (*photos, above)]
+    marks = ",".join(str(v) for point in MARKS for v in point)
+    common = ["--statistics", str(folder), "--landmarks", marks, "--azimuth", "30", "--json", "--output"]
+    results = {}
+    for name, paths in (("expected", everybody[:1]), ("map", everybody[:1]), ("mle", everybody), ("evidence", everybody[:2])):
+        method = "expected" if name == "evidence" else name
+        assert main(["relight", *paths, "--method", method, *common, str(tmp_path / f"{name}.png")]) == 0
+        assert json.loads(capsys.readouterr().out)["method"] == method
+        results[name] = read_photo(tmp_path / f"{name}.png").rgb
+    for name in ("map", "mle", "evidence"):
+        difference = np.abs(results[name] - results["expected"]).mean()
+        assert 0 < difference < 0.1
+    assert main(["relight", *everybody[:2], "--method", "mle", *common, str(tmp_path / "no.png")]) == 2
+    assert "expected at least 3 input images" in capsys.readouterr().err
+    assert main(["relight", *everybody[:1], "--method", "best", *common, str(tmp_path / "no.png")]) == 2
+    assert not (tmp_path / "no.png").exists()
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
