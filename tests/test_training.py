@@ -1,5 +1,6 @@
 """The bootstrap trained by several processes."""
 
+import csv
 import os
 import subprocess
 import sys
@@ -24,3 +25,15 @@ def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
     assert one.keys() == two.keys()
     assert all(torch.allclose(one[name], two[name], atol=1e-5) for name in one)
     assert not (tmp_path / "two" / "images").exists()
+
+
+def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
+    script = Path(__file__).parent.parent / "scripts" / "accuracy_vs_time.py"
+    command = [sys.executable, str(script), "--quick", "--output", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader((tmp_path / "trade_off.csv").read_text().splitlines()))
+    assert {row["knob"] for row in rows} == {"model", "variance"}
+    assert all(float(row["milliseconds"]) > 0 and 0 < float(row["rmse_side"]) < 100 for row in rows)
+    assert (tmp_path / "trade_off.png").stat().st_size > 1000
+    assert "**whole-face**" in (tmp_path / "trade_off.md").read_text()
