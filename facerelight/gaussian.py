@@ -215,6 +215,8 @@ def correlation_factor(samples: Tensor, rank: int) -> Tensor:
     """
     count, variables = samples.shape[-2:]
     kept = min(rank, count, variables)
+    if kept == 0:
+        return samples.new_zeros(*samples.shape[:-2], variables, rank)
     if count <= variables:  # the smaller Gram matrix has the same spectrum
         vectors = torch.linalg.eigh(samples @ samples.mT).eigenvectors[..., -kept:]
         factor = samples.mT @ vectors

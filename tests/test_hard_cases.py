@@ -308,6 +308,7 @@ def large_rank(w: World) -> None:
 @case("rank 0: no correlation over lights", "finite; face rank 0 is exactly the per-pixel model")
 def rank_zero(w: World) -> None:
     fitted(w, w.people[:6], w.lights, rank=0)
+    assert FaceStatistics.fit(w.people[:6].float(), w.lights.float(), rank=0).pixel.v_factor.shape[1] == 0
 
 
 @case("pixels with zero variance over people", "finite; the pixel's own mean; Consistency holds there too")
