@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser, Namespace
 
-from facerelight.bootstrap.skin import Domain
+from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig, default_statistics_folder
 from facerelight.statistics import FitOptions
 

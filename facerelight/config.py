@@ -9,12 +9,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import torch
 from platformdirs import user_cache_path
 from torch import Tensor
 
 from facerelight.alignment import CropFrame
-from facerelight.bootstrap.skin import Domain
-from facerelight.lights import even_hemisphere, merge_repeats, thesis_grid
+from facerelight.bootstrap.domain import Domain
+from facerelight.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
 from facerelight.statistics import FitOptions
 from facerelight.statistics_file import FORMAT_VERSION
 
@@ -28,7 +29,8 @@ class TrainConfig:
     Args:
         heads: how many people to render.
         source: "makehuman" (packed with the package), a folder of meshes, or the path of ``ict_heads.npz``.
-        lights: "paper" (the thesis's 10 x 10 angles and the frontal light) or how many lights, spread evenly over the hemisphere.
+        lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal light); or a list of
+            (azimuth, elevation) in degrees, such as the lights of a certain rig.
         height, width, margin: the crop; margin is a fraction of the canonical crop added on every side.
         supersample: rendered samples a pixel along each side.
         seed: of the heads and their paint.
@@ -39,7 +41,7 @@ class TrainConfig:
 
     heads: int = 80
     source: str = "makehuman"
-    lights: int | Literal["paper"] = 64
+    lights: int | Literal["paper"] | list[tuple[float, float]] = 64
     height: int = 128
     width: int = 112
     margin: float = 0.25
@@ -55,8 +57,9 @@ class TrainConfig:
             value = getattr(self, name)
             if not isinstance(value, int) or value < smallest:
                 raise ValueError(f"{name}: expected an integer of at least {smallest}, got {value!r}")
-        if self.lights != "paper" and (not isinstance(self.lights, int) or self.lights < 4):
-            raise ValueError(f"lights: expected 'paper' or at least 4, got {self.lights!r}")
+        listed = isinstance(self.lights, list) and len(self.lights) >= 4 and all(len(pair) == 2 for pair in self.lights)
+        if self.lights != "paper" and not listed and (not isinstance(self.lights, int) or self.lights < 4):
+            raise ValueError(f"lights: expected 'paper', at least 4, or as many pairs of angles, got {self.lights!r}")
         if not isinstance(self.margin, int | float) or not 0 <= self.margin <= 2:
             raise ValueError(f"margin: expected a fraction from 0 to 2, got {self.margin!r}")
         if self.effects not in ("auto", "all"):
@@ -73,7 +76,11 @@ class TrainConfig:
 
     def directions(self) -> Tensor:
         """Distinct bootstrap lights, ``(J, 3)``."""
-        lights = thesis_grid() if self.lights == "paper" else even_hemisphere(int(self.lights))
+        if isinstance(self.lights, list):
+            angles = torch.tensor(self.lights, dtype=torch.float64)
+            lights = light_from_angles(angles[:, 0], angles[:, 1]).float()
+        else:
+            lights = thesis_grid() if self.lights == "paper" else even_hemisphere(int(self.lights))
         return merge_repeats(lights)[0]
 
     def key(self) -> str:

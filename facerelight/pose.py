@@ -62,7 +62,8 @@ class BootstrapViews:
     """
 
     def __init__(self, config: TrainConfig, cache: str | Path | None = None, floor: float = 2e-3, first: int = 0) -> None:
-        self.config, self.floor, self.first = config, floor, first
+        upright = replace(config.domain, turn=0.0, misalign=0.0)  # a view says how the head stands
+        self.config, self.floor, self.first = replace(config, domain=upright), floor, first
         self.folder = Path(cache) if cache else cache_folder() / "views"
 
     @property

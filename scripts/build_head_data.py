@@ -77,7 +77,8 @@ def main() -> None:
         "eye_right": np.flatnonzero(np.isin(used, [v for p in groups["helper-r-eye"] for v, _ in p])).astype(np.uint16),
     }
     seam = np.linalg.norm(vertices[used] - (0.0, 6.625, 1.575), axis=1)  # between the lips
-    packed["mouth"] = np.argsort(seam)[:6].astype(np.uint16)
+    near = np.argsort(seam)[:6]
+    packed["mouth"] = near[[vertices[used][near, 1].argmin()]].astype(np.uint16)  # the deepest point of the line between the lips
 
     def add(name: str, path: Path) -> None:
         packed[name] = read_target(path, len(vertices))[used].astype(np.float16)

@@ -14,6 +14,7 @@ import torch
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, load_pie, load_yale, to_grid
+from facerelight.config import TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.recognition.evaluation import CLASSIFIERS, Tally, evaluate_gallery, training_lights
 from facerelight.relighter import StatisticalRelighter
@@ -29,13 +30,10 @@ def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args:
 
 
 def rendered(args: argparse.Namespace) -> StatisticalRelighter:
-    from dataclasses import replace
-
-    from facerelight.config import TrainConfig
     from facerelight.training import trained_folder
 
     fit = FitOptions(face_rank=40, brightness=True)
-    config = replace(TrainConfig(height=args.height, width=args.width, margin=0.0), fit=fit)
+    config = TrainConfig(heads=args.heads, source=args.source, height=args.height, width=args.width, margin=0.0, fit=fit)
     return StatisticalRelighter.from_pretrained(trained_folder(config), args.covariance)
 
 
@@ -54,6 +52,8 @@ def main() -> int:
     parser.add_argument("--train-light", choices=["front", "side", "same", "random", "random-mild"], default="front")
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
+    parser.add_argument("--source", default="makehuman", help="of rendered heads: makehuman, ict_heads.npz or a folder of meshes")
+    parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
     parser.add_argument("--photometric", nargs="+", choices=["none", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])

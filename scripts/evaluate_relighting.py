@@ -7,7 +7,6 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -15,14 +14,16 @@ import torch
 from facerelight.bootstrap.dataset import load_yale
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
+from facerelight.lights import angles_from_light
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
-def synthetic_statistics(height: int, width: int, heads: int, options: FitOptions) -> FaceStatistics:
-    """Statistics of rendered heads at the canonical crop, trained once and cached."""
+def synthetic_statistics(height: int, width: int, heads: int, source: str, lights: torch.Tensor, options: FitOptions) -> FaceStatistics:
+    """Statistics of heads rendered at the canonical crop under ``lights (J, 3)``, trained once and cached."""
     from facerelight.training import trained_folder
 
-    config = replace(TrainConfig(heads=heads, height=height, width=width, margin=0.0), fit=options)
+    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(lights), strict=True)]
+    config = TrainConfig(heads=heads, source=source, lights=angles, height=height, width=width, margin=0.0, fit=options)
     return FaceStatistics.load(trained_folder(config) / "statistics.safetensors")
 
 
@@ -41,7 +42,8 @@ def main() -> int:
     parser.add_argument("--temper", type=float, default=100.0)
     parser.add_argument("--kernel-width", type=float, default=None, help="in light spacings; default: cross-validation")
     parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
-    parser.add_argument("--heads", type=int, default=80, help="rendered heads, with --statistics synthetic")
+    parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes")
+    parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--json", type=Path, default=None)
     args = parser.parse_args()
 
@@ -60,7 +62,7 @@ def main() -> int:
 
     def make(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor) -> FaceStatistics:
         if args.statistics == "synthetic":
-            statistics = synthetic_statistics(args.height, args.width, args.heads, options)
+            statistics = synthetic_statistics(args.height, args.width, args.heads, args.source, lights, options)
         else:
             statistics = FaceStatistics.fit(images, lights, valid, options)
         widths.append(float(statistics.describe()["kernel_width"]))

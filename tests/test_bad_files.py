@@ -112,7 +112,7 @@ BAD_CONFIGS = [
     "supersample: 0", "supersample: -1", "source: /nowhere", "source: ''", "fit: 3", "fit: {rank: -1}", "fit: {rank: x}", "fit: {floor: 0}",
     "fit: {face_rank: -2}", "fit: {temper: 0}", "fit: {basis: 0}", "fit: {block: 0}", "fit: {nugget_width: 0}", "fit: {what: 1}",
     "fit: {kernel_width: -1}", "domain: {tone_low: 2}", "domain: {tone_low: 0}", "domain: {texture: -1}", "domain: {specular: -1}",
-    "domain: {fill: -1}", "domain: {shininess: 0}", "domain: {colour: red}", "domain: 7", "[1, 2]", "just words", "heads: {a: 1}",
+    "domain: {fill: -1}", "domain: {roughness: 0}", "domain: {colour: red}", "domain: 7", "[1, 2]", "just words", "heads: {a: 1}",
     "!!python/object/apply:os.system ['echo hacked']", "heads: 5\nheads: [", "\t\t:", "a: b: c", "{", "%YAML 9", "\x00",
 ]  # fmt: skip
 

@@ -8,11 +8,12 @@ import torch
 import trimesh
 
 from facerelight.alignment import CropFrame
+from facerelight.bootstrap.domain import Domain, Material
 from facerelight.bootstrap.generate import BootstrapDataset, open_renderer
 from facerelight.bootstrap.heads import Head, MakeHumanHeads, MeshFolder, place_in_frame, rotate
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.scene import EFFECTS, plan_effects, shade, view_surface
-from facerelight.bootstrap.skin import Domain, Look, Material
+from facerelight.bootstrap.skin import Look
 from facerelight.lights import even_hemisphere, light_from_angles
 
 FRAME = CropFrame(64, 56, 0.25)
@@ -45,7 +46,7 @@ def test_a_sphere_has_attached_shadow_only() -> None:
     light = light_from_angles(60.0, 20.0)
     with MeshRenderer(64, 64, extent=40) as renderer:
         surface = sphere_surface(renderer)
-        matte = Material(specular=0.0, shininess=10.0, fill=0.0)
+        matte = Material(specular=0.0, roughness=0.3, fill=0.0)
         work: Counter[str] = Counter()
         image = shade(surface, light, matte, plan_effects(surface, light, matte, "all"), renderer, work)
     expected = surface.albedo * (surface.normal @ light).clamp_min(0)
@@ -56,7 +57,7 @@ def test_scenes_run_only_the_passes_they_call_for() -> None:
     frontal, side = torch.tensor([0.0, 0.0, 1.0]), light_from_angles(60.0, 0.0)
     with MeshRenderer(64, 64, extent=40) as renderer:
         surface = sphere_surface(renderer)
-        shiny, matte = Material(0.05, 10.0, 0.1), Material(0.0, 10.0, 0.0)
+        shiny, matte = Material(0.05, 0.3, 0.1), Material(0.0, 0.3, 0.0)
         assert plan_effects(surface, frontal, matte).effects <= {"attached"}
         assert plan_effects(surface, side, matte).effects == {"attached", "cast"} - (
             {"cast"} if not plan_effects(surface, side, matte).cast.any() else set()
@@ -92,7 +93,7 @@ def test_shadows_match_ray_casting(dataset: BootstrapDataset) -> None:
     pytest.importorskip("embreex", reason="ray casting needs embreex")
     head = place_in_frame(dataset.source.head(1), dataset.frame)
     mesh = trimesh.Trimesh(head.vertices, head.triangles, process=False)
-    matte = Material(0.0, 10.0, 0.0)
+    matte = Material(0.0, 0.3, 0.0)
     look = Look.random(np.random.default_rng(1), Domain())
     with open_renderer(dataset.frame) as renderer:
         surface = view_surface(renderer, head, look)

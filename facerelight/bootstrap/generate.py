@@ -12,10 +12,11 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from facerelight.alignment import CropFrame
-from facerelight.bootstrap.heads import HeadSource, place_in_frame, rotate
+from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.heads import HeadSource, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.scene import Surface, plan_effects, shade, view_surface
-from facerelight.bootstrap.skin import Domain, Look, Material
+from facerelight.bootstrap.skin import Look
 
 __all__ = ["BootstrapDataset", "RenderedHead", "open_renderer"]
 
@@ -81,7 +82,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
         if self._renderer is None:
             self._renderer = open_renderer(self.frame, self.supersample)
         look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
-        upright = self.source.head(index)
+        upright = stand(self.source.head(index), np.random.default_rng((self.seed, index, 2)), self.domain)
         head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
         return view_surface(self._renderer, head, look), look.material
 

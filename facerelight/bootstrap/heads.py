@@ -14,8 +14,9 @@ import numpy as np
 import trimesh
 
 from facerelight.alignment import CropFrame
+from facerelight.bootstrap.domain import Domain
 
-__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate"]
+__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate", "stand"]
 
 
 PIVOT = np.array((0.0, -0.3, -0.8))  # the middle of a head: turned about it, the face stays in the crop
@@ -243,6 +244,14 @@ def rotate(head: Head, azimuth: float, elevation: float) -> Head:
     about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
     turn = about_x @ about_y
     return head._replace(vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT)
+
+
+def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
+    """How a person happens to stand before the camera: looking up and turned a little, the landmarks marked a little off."""
+    aside, up = domain.turn * rng.standard_normal(2).clip(-2, 2)
+    marked = domain.misalign * rng.standard_normal((3, 3)) * (1, 1, 0)
+    turned = rotate(head, aside, up - domain.pitch)
+    return turned._replace(landmarks=turned.landmarks + marked)
 
 
 def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:

@@ -6,6 +6,7 @@ Effects: ``attached`` shadow (surface turned from the light), ``cast`` shadow (s
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -15,9 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from facerelight.bootstrap.domain import Material
 from facerelight.bootstrap.heads import Head
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.skin import Look, Material, paint
+from facerelight.bootstrap.skin import Look, paint
 
 __all__ = ["EFFECTS", "EffectPlan", "Surface", "plan_effects", "shade", "view_surface"]
 
@@ -25,7 +27,8 @@ EFFECTS = ("attached", "cast", "specular", "ambient")
 RELIEF_SIZE = 256  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
 NEAR_CELLS = 6  # within so many cells occlusion is judged by slope, beyond by height
 AROUND = np.ones((5, 5), np.uint8)  # rounding of places to cells, and the soft edge of a shadow
-FRESNEL = 0.04  # reflectance of skin at normal incidence
+REFLECTANCE = 0.028  # of skin at normal incidence; sets how it grows towards grazing
+LEAST_VIEW = 0.05  # cosine to the viewer: pixels at the outline hold no thinner slivers
 SMALL = 1e-6  # radiance that cannot matter
 GRAZING = 0.36  # cosine
 IN_FRONT = 0.02  # z of the lights for which what hides a point stands in front of it
@@ -138,8 +141,7 @@ def plan_effects(surface: Surface, light: Tensor, material: Material, effects: s
         needed.add("cast")
     specular = torch.zeros_like(lit)
     if material.specular > 0:
-        strongest = material.specular * (material.shininess + 8) / 8 / FRESNEL
-        threshold = (SMALL / strongest) ** (1 / material.shininess) if strongest > SMALL else 2.0
+        threshold = _highlight_reach(material)
         specular = lit & (surface.normal @ _half(light) > threshold)
         if specular.any():
             needed.add("specular")
@@ -194,6 +196,34 @@ def _half(light: Tensor) -> Tensor:
     return torch.nn.functional.normalize(light + torch.tensor((0.0, 0.0, 1.0)), dim=0)
 
 
+def _highlight(normal: Tensor, light: Tensor, material: Material) -> Tensor:
+    """Radiance that a rough dielectric surface reflects to the viewer (Torrance and Sparrow 1967): Beckmann facets, Schlick's Fresnel term
+    and V grooves, scaled like the rest: a white matte surface facing the light has 1.
+
+    Args:
+        normal: ``(P, 3)``, facing the light.
+        light: unit vector ``(3,)``; the viewer is at +z.
+        material: reflectance at normal incidence and roughness.
+    """
+    half = _half(light)
+    to_half = (normal @ half).clamp_min(1e-3)
+    to_light, to_viewer = (normal @ light).clamp_min(0), normal[:, 2].clamp_min(LEAST_VIEW)
+    slope = (to_half**-2 - 1).clamp_min(0)
+    facets = torch.exp(-slope / material.roughness**2) / (material.roughness**2 * to_half**4)
+    fresnel = material.specular * (1 + (1 / REFLECTANCE - 1) * (1 - half[2]) ** 5)
+    open_share = (2 * to_half / half[2].clamp_min(1e-3) * torch.minimum(to_light, to_viewer)).clamp_max(1)
+    return fresnel * facets * open_share / (4 * to_viewer)
+
+
+def _highlight_reach(material: Material) -> float:
+    """The least cosine between normal and half-way vector at which a highlight can show, whatever the light."""
+    bound = material.specular / REFLECTANCE / (4 * LEAST_VIEW * material.roughness**2 * SMALL)
+    slope = 0.0
+    for _ in range(20):  # the fixed point of bound (1 + t)^2 exp(-t / m^2) = 1, from below
+        slope = material.roughness**2 * max(0.0, math.log(bound * (1 + slope) ** 2))
+    return (1 + slope) ** -0.5
+
+
 def shade(
     surface: Surface, light: Tensor, material: Material, plan: EffectPlan, renderer: MeshRenderer, work: Counter[str] | None = None
 ) -> Tensor:
@@ -207,14 +237,12 @@ def shade(
     light_seen = torch.ones_like(facing)
     if "cast" in plan.effects:
         light_seen[plan.cast] = _visibility(surface, light, plan, renderer)
-    arriving = facing * light_seen
-    radiance = surface.albedo * arriving
+    lamp = 1 + material.side_light * float(1 - light[2])
+    radiance = surface.albedo * facing * light_seen * lamp
     if "specular" in plan.effects:
         where = plan.specular.nonzero()[:, 0]
-        half = _half(light)
-        lobe = (surface.normal[where] @ half).clamp_min(0) ** material.shininess * (material.shininess + 8) / 8
-        fresnel = 1 + (1 / FRESNEL - 1) * (1 - half[2]) ** 5
-        radiance[where] += material.specular * fresnel * lobe * arriving[where]
+        lamp_seen = light_seen[where] * lamp
+        radiance[where] += lamp_seen * _highlight(surface.normal[where], light, material)
     if "ambient" in plan.effects:
         radiance = radiance + surface.albedo * material.fill * (0.5 + 0.5 * surface.normal[:, 2])
     if work is not None:

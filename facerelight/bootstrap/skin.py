@@ -1,4 +1,4 @@
-"""Skin: procedural albedo painted on the average head, and the reflectance and fill light of one person's picture.
+"""Skin: procedural albedo painted on the average head.
 
 No photograph is involved. Positions are in the units of :mod:`heads`: eyes at (-0.5, 0) and (0.5, 0), mouth near (0, -1.07).
 """
@@ -11,53 +11,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["Domain", "Look", "Material", "paint"]
+from facerelight.bootstrap.domain import Domain, Material
 
-
-@dataclass(frozen=True)
-class Domain:
-    """The scalar settings of the rendered world, the same for all heads.
-
-    Args:
-        tone_low, tone_high: range of the skin's albedo over people, uniform in its logarithm.
-        texture: strength of pigment and fine texture (standard deviation of log albedo).
-        specular: mean strength of the skin's highlight at normal incidence.
-        shininess: Blinn-Phong exponent of the highlight.
-        fill: light from all around, as a fraction of the lamp.
-    """
-
-    tone_low: float = 0.25
-    tone_high: float = 0.8
-    texture: float = 0.08
-    specular: float = 0.03
-    shininess: float = 12.0
-    fill: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not (0 < self.tone_low <= self.tone_high <= 1.5):
-            raise ValueError(f"domain: expected 0 < tone_low <= tone_high <= 1.5, got {self.tone_low} and {self.tone_high}")
-        if min(self.texture, self.specular, self.fill) < 0 or self.shininess < 1:
-            raise ValueError(f"domain: expected texture, specular, fill >= 0 and shininess >= 1, got {self}")
-
-
-@dataclass(frozen=True)
-class Material:
-    """How a person's skin reflects: ``specular`` strength, ``shininess`` exponent, and ``fill`` light of the picture."""
-
-    specular: float
-    shininess: float
-    fill: float
+__all__ = ["Look", "paint"]
 
 
 @dataclass(frozen=True)
 class Look:
-    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``iris``, ``stubble``, ``hair``."""
+    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``sockets``, ``iris``, ``stubble``,
+    ``hair``."""
 
     tone: float
     brows: float
     brow_height: float
     brow_width: float
     lips: float
+    sockets: float
     iris: float
     stubble: float
     hair: float
@@ -73,21 +42,23 @@ class Look:
         tone = float(np.exp(rng.uniform(np.log(domain.tone_low), np.log(domain.tone_high))))
         return cls(
             tone=tone,
-            brows=float(rng.uniform(0.25, 0.9)),
-            brow_height=float(rng.normal(0.31, 0.03)),
-            brow_width=float(rng.uniform(0.045, 0.085)),
-            lips=float(rng.uniform(0.1, 0.5)),
+            brows=float(rng.uniform(0.3, 0.9)),
+            brow_height=float(rng.normal(0.21, 0.035)),
+            brow_width=float(rng.uniform(0.05, 0.09)),
+            lips=float(rng.uniform(0.1, 0.45)),
+            sockets=float(rng.uniform(0.1, 0.5)),
             iris=float(rng.uniform(0.5, 0.95)),
-            stubble=float(max(0.0, rng.normal(0.05, 0.2))),
+            stubble=float(max(0.0, rng.normal(0.15, 0.25))),
             hair=float(rng.uniform(0.2, 0.95)),
             hairline=float(rng.normal(1.0, 0.12)),
             pigment=float(domain.texture * rng.uniform(0.5, 1.5)),
             grain=float(domain.texture * rng.uniform(0.3, 1.2)),
             seed=int(rng.integers(2**31)),
             material=Material(
-                specular=float(domain.specular * rng.uniform(0.3, 1.7)),
-                shininess=float(domain.shininess * rng.uniform(0.6, 1.6)),
-                fill=float(domain.fill * rng.uniform(0.3, 1.7)),
+                specular=float(domain.specular * rng.uniform(0.5, 1.5)),
+                roughness=domain.roughness,
+                fill=float(domain.fill * rng.uniform(0.5, 1.5)),
+                side_light=domain.side_light,
             ),
         )
 
@@ -107,17 +78,22 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     brow = (look.brows * brow * hairs).clamp(0, 0.95)
     # lips: wider than tall, the upper one with a notch; lash line: the rim of the eye opening
     upper = _step(-1.07 + 0.13 - 0.05 * (side / 0.2 - 1).square() - y, 0, 0.02)
-    lip = _step(1 - ((side / 0.42).square() + ((y + 1.08) / 0.17).square()), 0, 0.15) * upper * _step(z, 0.2, 0.05)
+    lip = _step(1 - ((side / 0.46).square() + ((y + 1.08) / 0.17).square()), 0, 0.15) * upper * _step(z, 0.2, 0.05)
     lash = _bump(torch.hypot((side - 0.5) / 0.27, (y - 0.02) / 0.12) - 1, 0.22) * _step(y + 0.02, 0, 0.04) * (z > 0)
+    # thin skin around the eyes is dark
+    sockets = torch.exp(-0.5 * (((side - 0.48) / 0.24).square() + ((y - 0.03) / 0.15).square()).square()) * (z > -0.3)
     beard = _step(-0.62 - y, 0, 0.12) * _step(1.25 - side, 0, 0.1) * _step(z + 0.9, 0, 0.2)
     beard = beard * (1 - _bump(torch.hypot(side / 0.5, (y + 1.08) / 0.22), 0.6))
+    moustache = _bump(y + 0.92, 0.12) * _step(0.5 - side, 0, 0.12) * (1 - lip)
+    beard = torch.maximum(beard, moustache)
     hair = _step(y - look.hairline + 0.25 * (side / 0.9).square(), 0, 0.08) + _step(-0.75 - z + 0.2 * y, 0, 0.1)
     hair = (hair * (1 + 0.3 * _noise(reference, 30, look.seed + 3))).clamp(0, 1)
-    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.55 * lash) * (1 - 0.7 * look.stubble * beard * hairs.clamp(0, 2))
+    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.55 * lash) * (1 - look.sockets * sockets)
+    shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
     surface = torch.exp(skin) * shade * (1 - hair) + hair * (1 - look.hair) * 0.5
     # eyes: white sclera, dark iris and pupil, in the direction of gaze
     from_axis = torch.hypot(side - 0.5, y)
-    eye = 0.55 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
+    eye = 0.45 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
     return torch.where(is_eye > 0.5, eye, surface).clamp(0.01, 1.5)
 
 

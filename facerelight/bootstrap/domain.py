@@ -1,0 +1,53 @@
+"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin makes of light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Domain", "Material"]
+
+
+@dataclass(frozen=True)
+class Domain:
+    """The scalar settings of the rendered world, the same for all heads; ``scripts/search_domain.py`` finds them.
+
+    Args:
+        tone_low, tone_high: range of the skin's albedo over people, uniform in its logarithm.
+        texture: strength of pigment and fine texture (standard deviation of log albedo).
+        specular: mean reflectance of the skin's surface at normal incidence.
+        roughness: root mean square slope of that surface (Beckmann); skin has 0.2 to 0.4.
+        fill: light from all around, as a fraction of the lamp.
+        side_light: a lamp at the side is brighter by this fraction than one at the camera.
+        pitch: degrees by which heads look up, on average.
+        turn: standard deviation of how heads are turned, to the sides and up, in degrees.
+        misalign: standard deviation of a marked landmark, in distances between the eyes.
+    """
+
+    tone_low: float = 0.3
+    tone_high: float = 0.8
+    texture: float = 0.1
+    specular: float = 0.055
+    roughness: float = 0.35
+    fill: float = 0.05
+    side_light: float = 0.4
+    pitch: float = 8.0
+    turn: float = 4.0
+    misalign: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (0 < self.tone_low <= self.tone_high <= 1.5):
+            raise ValueError(f"domain: expected 0 < tone_low <= tone_high <= 1.5, got {self.tone_low} and {self.tone_high}")
+        if not (min(self.texture, self.specular, self.fill, self.side_light) >= 0 and 0.05 <= self.roughness <= 1):
+            raise ValueError(f"domain: expected texture, specular, fill, side_light >= 0 and roughness in 0.05 to 1, got {self}")
+        if not (abs(self.pitch) <= 30 and 0 <= self.turn <= 15 and 0 <= self.misalign <= 0.2):
+            raise ValueError(f"domain: expected pitch within 30, turn in 0 to 15 degrees and misalign in 0 to 0.2, got {self}")
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and ``side_light``."""
+
+    specular: float
+    roughness: float
+    fill: float
+    side_light: float = 0.0
