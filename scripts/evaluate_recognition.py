@@ -58,6 +58,7 @@ def main() -> int:
     parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
     parser.add_argument("--photometric", nargs="+", choices=["none", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
     parser.add_argument("--exemplars", choices=["grid", "hemisphere", "cap"], default="cap")
+    parser.add_argument("--shift", type=int, default=0, help="pixels by which probes may lie off, tried by every classifier")
     parser.add_argument("--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)")
     parser.add_argument("--height", type=int, default=96)
     parser.add_argument("--width", type=int, default=84)
@@ -90,7 +91,7 @@ def main() -> int:
             groups.append(([i for i in range(len(images)) if i % 4 == fold], learn(images[train], faces.lights, valid[train], args)))
     for people, relighter in groups:
         for gallery in training_lights(faces, people, args.train_light, draws):
-            found = evaluate_gallery(faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars)
+            found = evaluate_gallery(faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars, args.shift)
             for name, tally in found.items():
                 tallies[name].append(tally)
 
@@ -112,6 +113,7 @@ def main() -> int:
         "source_light": args.source_light,
         "resolution": [args.height, args.width],
         "exemplars": args.exemplars,
+        "shift": args.shift,
         "results": results,
     }
     text = json.dumps(report, indent=2)

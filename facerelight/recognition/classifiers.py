@@ -10,16 +10,25 @@ from torch import Tensor, nn
 
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
-__all__ = ["Classifier", "GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier"]
+__all__ = ["Classifier", "GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier", "SumClassifier"]
 
 
 class Classifier(nn.Module):
-    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``, rejection of strangers."""
+    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``, rejection of strangers.
 
-    def __init__(self, normalizer: nn.Module | None = None, reject: float | None = None) -> None:
+    Args:
+        normalizer: photometric normalisation of exemplars and probes alike.
+        reject: least score that is not a stranger.
+        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, every other pixel apart, and its best
+            score for each person counts.
+    """
+
+    def __init__(self, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0) -> None:
         super().__init__()
+        if shift < 0:
+            raise ValueError(f"shift: expected at least 0 pixels, got {shift}")
         self.normalizer = normalizer or nn.Identity()
-        self.reject = reject
+        self.reject, self.shift = reject, shift
         self.classes_: list[Hashable] | None = None
 
     def fit(self, exemplars: Tensor, labels: Sequence[Hashable]) -> Self:
@@ -40,7 +49,11 @@ class Classifier(nn.Module):
         return self._rows(exemplars), torch.tensor([place[label] for label in labels])
 
     def _rows(self, images: Tensor) -> Tensor:
-        return self.normalizer(images.float()).flatten(1)
+        """Normalised images as rows."""
+        return self._flatten(self.normalizer(images.float()))
+
+    def _flatten(self, images: Tensor) -> Tensor:
+        return images.flatten(1)
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:
         raise TypeError(f"{type(self).__name__} cannot be fitted")
@@ -54,7 +67,9 @@ class Classifier(nn.Module):
             raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
         if images.dim() != 3 or not torch.isfinite(images).all():
             raise ValueError(f"images: expected finite (M, H, W), got {tuple(images.shape)}")
-        return self._scores(self._rows(images))
+        steps = sorted({*range(-self.shift, self.shift + 1, 2), 0})
+        scores = [self._scores(self._rows(_moved(images, down, right))) for down in steps for right in steps]
+        return torch.stack(scores).amax(0)
 
     def predict(self, images: Tensor) -> list[Hashable | None]:
         """The label of each image; None where the best score lies below the ``reject`` threshold."""
@@ -70,32 +85,75 @@ class Classifier(nn.Module):
         return sum(right) / max(len(right), 1)
 
 
+def _moved(images: Tensor, down: int, right: int) -> Tensor:
+    """``images (M, H, W)`` moved by whole pixels, their borders repeated."""
+    if down == right == 0:
+        return images
+    height, width = images.shape[1:]
+    rows = (torch.arange(height) - down).clamp(0, height - 1)
+    columns = (torch.arange(width) - right).clamp(0, width - 1)
+    return images[:, rows][:, :, columns]
+
+
+class SumClassifier(Classifier):
+    """The sum of the scores of fitted classifiers over the same people (the sum rule of Kittler et al. 1998).
+
+    A photograph is the one exemplar that is certainly right, and synthesised exemplars are the ones that know other lights: the sum of a
+    nearest neighbour over photographs and individual subspaces over exemplars is better than either where the statistics are rendered.
+
+    Args:
+        classifiers: fitted; their own normalisation and shifts apply.
+        weights: of their scores; default: 1 each.
+        reject: least score that is not a stranger.
+    """
+
+    def __init__(self, classifiers: Sequence[Classifier], weights: Sequence[float] | None = None, reject: float | None = None) -> None:
+        super().__init__(reject=reject)
+        if not classifiers or any(c.classes_ is None or c.classes_ != classifiers[0].classes_ for c in classifiers):
+            raise ValueError("classifiers: expected one or more, fitted to the same people; fit each with the same labels first")
+        if weights is not None and len(weights) != len(classifiers):
+            raise ValueError(f"weights: expected one for each of {len(classifiers)} classifiers, got {len(weights)}")
+        self.classifiers = nn.ModuleList(classifiers)
+        self.weights = list(weights or [1.0] * len(classifiers))
+        self.classes_ = classifiers[0].classes_
+
+    def decision_function(self, images: Tensor) -> Tensor:
+        """The weighted sum of the classifiers' scores, ``(M, C)``."""
+        scores = [weight * self._member(i).decision_function(images) for i, weight in enumerate(self.weights)]
+        return torch.stack(scores).sum(0)
+
+    def _member(self, index: int) -> Classifier:
+        member = self.classifiers[index]
+        assert isinstance(member, Classifier)
+        return member
+
+
 class NearestNeighborClassifier(Classifier):
     """The label of the nearest exemplar.
 
     Args:
         metric: "l2"; "cosine"; or "l0", the semi-norm of 6.1: how many pixels of a 16 x 16 thumbnail differ by more than ``threshold``.
         threshold: of "l0", in the images' units.
-        normalizer: photometric normalisation, see :mod:`photometric`.
-        reject: least score that is not a stranger.
+        normalizer, reject, shift: see :class:`Classifier`.
     """
 
     exemplars: Tensor
     index: Tensor
 
-    def __init__(self, metric: str = "l2", threshold: float = 0.05, normalizer: nn.Module | None = None, reject: float | None = None) -> None:
-        super().__init__(normalizer, reject)
+    def __init__(
+        self, metric: str = "l2", threshold: float = 0.05, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
+    ) -> None:
+        super().__init__(normalizer, reject, shift)
         if metric not in ("l2", "cosine", "l0"):
             raise ValueError(f"metric: expected 'l2', 'cosine' or 'l0', got {metric!r}")
         self.metric, self.threshold = metric, threshold
         self.register_buffer("exemplars", torch.zeros(0, 0))
         self.register_buffer("index", torch.zeros(0, dtype=torch.long))
 
-    def _rows(self, images: Tensor) -> Tensor:
+    def _flatten(self, images: Tensor) -> Tensor:
         if self.metric == "l0":
-            images = nn.functional.interpolate(self.normalizer(images.float())[:, None], (16, 16), mode="area")[:, 0]
-            return images.flatten(1)
-        rows = super()._rows(images)
+            return nn.functional.interpolate(images[:, None], (16, 16), mode="area")[:, 0].flatten(1)
+        rows = images.flatten(1)
         return nn.functional.normalize(rows, dim=1) if self.metric == "cosine" else rows
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:
@@ -105,7 +163,7 @@ class NearestNeighborClassifier(Classifier):
         if self.metric == "l0":
             near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).float() for row in rows])
         else:
-            near = -torch.cdist(rows, self.exemplars)
+            near = -torch.cdist(rows, self.exemplars).square()
         assert self.classes_ is not None
         scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
@@ -117,7 +175,7 @@ class GlobalPCAClassifier(Classifier):
     Args:
         dimension: of the subspace; None: by 1 % reconstruction error.
         error: that error.
-        normalizer, reject: as for all.
+        normalizer, reject, shift: see :class:`Classifier`.
     """
 
     mean: Tensor
@@ -126,9 +184,9 @@ class GlobalPCAClassifier(Classifier):
     index: Tensor
 
     def __init__(
-        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None
+        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
     ) -> None:
-        super().__init__(normalizer, reject)
+        super().__init__(normalizer, reject, shift)
         self.dimension, self.error = dimension, error
         for name in ("mean", "basis", "projected"):
             self.register_buffer(name, torch.zeros(0))
@@ -154,7 +212,7 @@ class IndividualPCAClassifier(Classifier):
     Args:
         dimension: of each subspace; None: as few as leave 1 % of the energy, 35 to 45 in the thesis.
         error: that error.
-        normalizer: photometric normalisation of exemplars and probes alike.
+        normalizer, shift: see :class:`Classifier`.
         reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`calibrate`.
 
     Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``dimensions (C,)``.
@@ -171,9 +229,9 @@ class IndividualPCAClassifier(Classifier):
     dimensions: Tensor
 
     def __init__(
-        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None
+        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
     ) -> None:
-        super().__init__(normalizer, reject)
+        super().__init__(normalizer, reject, shift)
         if dimension is not None and dimension < 0:
             raise ValueError(f"dimension: expected at least 0, got {dimension}")
         self.dimension, self.error = dimension, error

@@ -10,14 +10,20 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.recognition.classifiers import Classifier, GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.classifiers import (
+    Classifier,
+    GlobalPCAClassifier,
+    IndividualPCAClassifier,
+    NearestNeighborClassifier,
+    SumClassifier,
+)
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["CLASSIFIERS", "Tally", "evaluate_gallery", "training_lights"]
 
-CLASSIFIERS = ("nearest_neighbor", "nearest_neighbor+exemplars", "global_pca", "individual_pca", "individual_pca_9")
+CLASSIFIERS = ("nearest_neighbor", "nearest_neighbor+exemplars", "global_pca", "individual_pca", "individual_pca_9", "individual_pca_9+photo")
 
 
 class Tally(NamedTuple):
@@ -71,6 +77,7 @@ def evaluate_gallery(
     classifiers: list[str],
     estimated: bool = False,
     exemplars: str = "cap",
+    shift: int = 0,
 ) -> dict[str, Tally]:
     """Fit every classifier to one gallery and count right answers over all other images of its people.
 
@@ -81,6 +88,7 @@ def evaluate_gallery(
         classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs" or "+weber" where wanted.
         estimated: estimate the training images' lights instead of taking the labels.
         exemplars: lights to synthesise under, see :func:`exemplar_lights`.
+        shift: pixels by which probes may lie off, for all classifiers.
     """
     images, valid = to_grid(faces)
     subset = torch.zeros(len(faces.lights), dtype=torch.long).index_copy_(0, faces.light, faces.subset)
@@ -106,14 +114,17 @@ def evaluate_gallery(
         started = time.perf_counter()
         if base == "nearest_neighbor":
             metric = "cosine" if photometric else "l2"
-            fitted: Classifier = NearestNeighborClassifier(metric, normalizer=normalizer).fit(training, people)
+            fitted: Classifier = NearestNeighborClassifier(metric, normalizer=normalizer, shift=shift).fit(training, people)
         elif base == "nearest_neighbor+exemplars":
-            fitted = NearestNeighborClassifier(normalizer=normalizer).fit(rows, owners)
+            fitted = NearestNeighborClassifier(normalizer=normalizer, shift=shift).fit(rows, owners)
         elif base == "global_pca":
-            fitted = GlobalPCAClassifier(40, normalizer=normalizer).fit(rows, owners)
+            fitted = GlobalPCAClassifier(40, normalizer=normalizer, shift=shift).fit(rows, owners)
         else:
             dimension = None if base == "individual_pca" else 9
-            fitted = IndividualPCAClassifier(dimension, normalizer=normalizer).fit(rows, owners)
+            fitted = IndividualPCAClassifier(dimension, normalizer=normalizer, shift=shift).fit(rows, owners)
+            if base.endswith("+photo"):
+                photo = NearestNeighborClassifier("cosine", normalizer=normalizer, shift=shift).fit(training, people)
+                fitted = SumClassifier([photo, fitted])
         found = fitted.predict(stack)
         right = torch.tensor([a == b for a, b in zip(found, labels, strict=True)])
         tallies[name] = Tally(right, torch.cat(parts), time.perf_counter() - started)
