@@ -24,6 +24,12 @@ def _train_parser() -> ArgumentParser:
     parser.add_argument("--config", action="config", help="YAML file with any of the options below")
     parser.add_class_arguments(TrainConfig, as_group=True)
     parser.add_argument("--output", type=str | None, default=None, help="folder for the statistics (default: the user's cache)")
+    parser.add_argument(
+        "--adapt",
+        type=str | None,
+        default=None,
+        help="folder of a few people's photos, NAME.jpg or NAME/*.jpg: adapt the statistics to them (needs --output)",
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes that render")
     parser.add_argument("--keep-images", action="store_true", help="leave the rendered images in OUTPUT/images")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
@@ -93,8 +99,10 @@ def _train(arguments: Namespace) -> int:
     from facerelight.training import train
 
     config = _config(arguments)
+    if arguments.adapt and not arguments.output:
+        raise ValueError("adapt: expected --output as well, a folder for the adapted statistics")
     folder = Path(arguments.output) if arguments.output else default_statistics_folder(config)
-    report = train(config, folder, arguments.workers, arguments.keep_images)
+    report = train(config, folder, arguments.workers, arguments.keep_images, arguments.adapt)
     if arguments.json:
         print(json.dumps({"folder": str(folder), **report}))
     else:
@@ -150,7 +158,8 @@ def _relight(arguments: Namespace) -> int:
 
 
 def _recognize(arguments: Namespace) -> int:
-    from facerelight.recognition.gallery import Gallery, find_people
+    from facerelight.files import find_people
+    from facerelight.recognition.gallery import Gallery
     from facerelight.relighter import StatisticalRelighter
 
     if not arguments.enroll and not arguments.photos:

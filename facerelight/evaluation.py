@@ -17,7 +17,7 @@ from facerelight.posterior import Posterior
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 
-__all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights"]
+__all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights", "relighting_errors"]
 
 SOURCES = {"front": (0.0, 0.0), "side": (70.0, 0.0)}
 """Azimuth and elevation of the input image's light, by the name of the case."""
@@ -88,6 +88,26 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
         "mean_face": mean_images[targets],
         "ratio_image": source * ratio,
     }
+
+
+def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str) -> Tensor:
+    """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none; whole-face model.
+
+    Args:
+        statistics: of other people, or of rendered heads.
+        faces: the data.
+        case: "front" or "side", the input's light.
+    """
+    images, valid = to_grid(faces)
+    source = _light_index(faces, SOURCES[case])
+    relighter = StatisticalRelighter(statistics, "face")
+    errors = torch.full(valid.shape, torch.nan)
+    for person in valid[:, source].nonzero()[:, 0].tolist():
+        targets = valid[person].clone()
+        targets[source] = False
+        relit = relighter.condition(images[person, source][None, None], faces.lights[source][None]).mean(faces.lights[targets])[0]
+        errors[person, targets] = ((relit.clamp(0, 1) - images[person, targets]) * 255).square().mean((1, 2)).sqrt()
+    return errors
 
 
 def evaluate_folds(

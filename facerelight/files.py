@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-__all__ = ["PhotoFile", "read_photo", "write_photo"]
+__all__ = ["PhotoFile", "find_people", "read_photo", "write_photo"]
 
 FORMATS = ("JPEG", "PNG", "TIFF", "PPM", "BMP", "WEBP")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp")
 MAX_PIXELS = 100_000_000
 
 
@@ -72,3 +73,26 @@ def write_photo(path: str | Path, rgb: np.ndarray, alpha: np.ndarray | None = No
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise ValueError(f"{path}: could not be written: {error}") from error
+
+
+def find_people(folder: str | Path) -> dict[str, list[Path]]:
+    """Photos by name in either usual layout: ``people/NAME.jpg`` and ``people/NAME/*.jpg``.
+
+    Raises:
+        ValueError: no photos, or one name in both layouts.
+    """
+    folder = Path(folder)
+    people: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("*")):
+        photos = sorted(p for p in path.glob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else [path]
+        if path.is_file() and path.suffix.lower() not in SUFFIXES:
+            continue
+        name = path.name if path.is_dir() else path.stem
+        if not photos:
+            continue
+        if name in people:
+            raise ValueError(f"{folder}: expected one person of each name, got two called {name!r}")
+        people[name] = photos
+    if not people:
+        raise ValueError(f"{folder}: expected photos as NAME.jpg or NAME/*.jpg, found none")
+    return people

@@ -18,6 +18,7 @@ from torch import Tensor, distributed
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
+from facerelight.adaptation import adapt, read_people
 from facerelight.config import TrainConfig, default_statistics_folder
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.relighter import StatisticalRelighter
@@ -27,7 +28,7 @@ from facerelight.store import ImageStore
 if TYPE_CHECKING:
     from facerelight.bootstrap.generate import BootstrapDataset
 
-__all__ = ["make_dataset", "train", "trained_folder"]
+__all__ = ["make_dataset", "rendered_statistics", "train", "trained_folder"]
 
 
 def make_dataset(
@@ -57,7 +58,9 @@ def make_dataset(
     return BootstrapDataset(source, config.heads, seen, config.frame, config.domain, config.seed, config.effects, config.supersample, pose)
 
 
-def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False) -> dict[str, object]:
+def train(
+    config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False, adapt_to: str | Path | None = None
+) -> dict[str, object]:
     """Render the bootstrap, learn the statistics and the light estimator, and save them into ``folder``.
 
     A run that was interrupted goes on from the last finished head: each head's images are a file in ``folder/images`` until the end.
@@ -68,11 +71,13 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
         folder: where ``statistics.safetensors``, ``estimator.safetensors`` and ``report.json`` go.
         workers: processes that render; 0 renders in this one.
         keep_images: leave the rendered images where they are.
+        adapt_to: a folder of a few people's photographs, see :func:`facerelight.adaptation.read_people`; None: rendered heads alone.
 
     Returns:
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
     """
     folder = Path(folder)
+    people = read_people(adapt_to, config.frame) if adapt_to else []  # first, so that a bad photo is known before the rendering
     rank, processes = _join_processes()
     if rank == 0:
         _start_images(folder, config)
@@ -106,13 +111,17 @@ def train(config: TrainConfig, folder: str | Path, workers: int = 2, keep_images
     images = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()[:60]])
     inside = ((1 - config.frame.oval()) / 0.1).clamp(0, 1)
     estimator = KernelIlluminationEstimator.fit(images, statistics.lights, weight=inside)
-    statistics.metadata = {"config": asdict(config), "source": f"rendered heads ({config.source})", "radiance": "linear"}
+    if people:
+        print(f"adapting them to {len(people)} people", file=sys.stderr)
+        statistics = adapt(statistics, people, estimator)
+    statistics.metadata |= {"config": asdict(config), "source": f"rendered heads ({config.source})", "radiance": "linear"}
     StatisticalRelighter(statistics, estimator=estimator).save_pretrained(folder)
     if not keep_images:
         shutil.rmtree(folder / "images")
     report: dict[str, object] = {
         **statistics.describe(),
         "heads": config.heads,
+        "adapted_to": len(people),
         "render_seconds": round(rendered - started, 1),
         "solve_seconds": round(time.perf_counter() - rendered, 1),
         "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
@@ -131,6 +140,14 @@ def trained_folder(config: TrainConfig) -> Path:
         print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
         train(config, folder)
     return folder
+
+
+def rendered_statistics(config: TrainConfig) -> FaceStatistics:
+    """Statistics of ``config`` that still keep their images, as :func:`facerelight.adaptation.adapt` needs them; rendered once and cached."""
+    folder = default_statistics_folder(config)
+    if not (folder / "images").exists():
+        train(config, folder, keep_images=True)
+    return FaceStatistics(config.directions(), config.fit, ImageStore(folder / "images")).solve()
 
 
 def _start_images(folder: Path, config: TrainConfig) -> None:

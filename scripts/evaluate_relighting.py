@@ -11,27 +11,36 @@ from pathlib import Path
 
 import torch
 
+from facerelight.adaptation import Person, adapt
 from facerelight.bootstrap.dataset import load_yale
+from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.lights import angles_from_light
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
-def synthetic_statistics(height: int, width: int, heads: int, source: str, lights: torch.Tensor, options: FitOptions) -> FaceStatistics:
-    """Statistics of heads rendered at the canonical crop under ``lights (J, 3)``, trained once and cached."""
-    from facerelight.training import trained_folder
-
+def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Domain, options: FitOptions) -> TrainConfig:
+    """Heads at the canonical crop under the very lights of the data, ``lights (J, 3)``."""
     angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(lights), strict=True)]
-    config = TrainConfig(heads=heads, source=source, lights=angles, height=height, width=width, margin=0.0, fit=options)
-    return FaceStatistics.load(trained_folder(config) / "statistics.safetensors")
+    return TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0, domain=domain, fit=options)
+
+
+def read_domains(path: Path | None, folds: int) -> list[Domain]:
+    """The rendered world of each fold, as ``search_domain.py`` found it on that fold's other people; without a file the package's own."""
+    if path is None:
+        return [Domain()] * folds
+    found = [Domain(**values) for values in json.loads(path.read_text())["folds"]]
+    if len(found) != folds:
+        raise SystemExit(f"{path}: expected domains of {folds} folds, got {len(found)}")
+    return found
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
     parser.add_argument("--protocol", choices=["yale-relight", "yale-relight-newlights"], default="yale-relight")
-    parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
+    parser.add_argument("--statistics", choices=["real", "synthetic", "adapted"], default="real")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--folds", type=int, default=4)
@@ -42,6 +51,8 @@ def main() -> int:
     parser.add_argument("--temper", type=float, default=100.0)
     parser.add_argument("--kernel-width", type=float, default=None, help="in light spacings; default: cross-validation")
     parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
+    parser.add_argument("--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain")
+    parser.add_argument("--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted")
     parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes")
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--json", type=Path, default=None)
@@ -60,11 +71,23 @@ def main() -> int:
     )
     widths: list[float] = []
 
+    domains = iter(read_domains(args.domain, args.folds))
+
     def make(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor) -> FaceStatistics:
-        if args.statistics == "synthetic":
-            statistics = synthetic_statistics(args.height, args.width, args.heads, args.source, lights, options)
-        else:
+        if args.statistics == "real":
             statistics = FaceStatistics.fit(images, lights, valid, options)
+        else:
+            from facerelight.training import rendered_statistics, trained_folder
+
+            config = rendered_config(args, lights, next(domains), options)
+            if args.statistics == "synthetic":
+                statistics = FaceStatistics.load(trained_folder(config) / "statistics.safetensors")
+            else:
+                people = [
+                    Person(person[there], lights[there], torch.ones(person.shape[1:]))
+                    for person, there in zip(images[: args.adapt_people], valid, strict=False)
+                ]
+                statistics = adapt(rendered_statistics(config), people)
         widths.append(float(statistics.describe()["kernel_width"]))
         return statistics
 
@@ -74,6 +97,7 @@ def main() -> int:
         "protocol": args.protocol,
         "covariance": args.covariance,
         "statistics": args.statistics,
+        "adapted_to": args.adapt_people if args.statistics == "adapted" else 0,
         "source_light": args.source_light,
         "exposure": args.exposure,
         "resolution": [args.height, args.width],

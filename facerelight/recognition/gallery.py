@@ -18,9 +18,8 @@ from facerelight.recognition.exemplars import exemplar_lights
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
 
-__all__ = ["Gallery", "Identification", "find_people"]
+__all__ = ["Gallery", "Identification"]
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".ppm", ".pgm", ".bmp", ".webp")
 GALLERY_VERSION = 1
 
 
@@ -29,29 +28,6 @@ class Identification(NamedTuple):
 
     name: str | None
     errors: dict[str, float]
-
-
-def find_people(folder: str | Path) -> dict[str, list[Path]]:
-    """Photos by name in either usual layout: ``people/NAME.jpg`` and ``people/NAME/*.jpg``.
-
-    Raises:
-        ValueError: no photos, or one name in both layouts.
-    """
-    folder = Path(folder)
-    people: dict[str, list[Path]] = {}
-    for path in sorted(folder.glob("*")):
-        photos = sorted(p for p in path.glob("*") if p.suffix.lower() in SUFFIXES) if path.is_dir() else [path]
-        if path.is_file() and path.suffix.lower() not in SUFFIXES:
-            continue
-        name = path.name if path.is_dir() else path.stem
-        if not photos:
-            continue
-        if name in people:
-            raise ValueError(f"{folder}: expected one person of each name, got two called {name!r}")
-        people[name] = photos
-    if not people:
-        raise ValueError(f"{folder}: expected photos as NAME.jpg or NAME/*.jpg, found none")
-    return people
 
 
 class Gallery:
