@@ -1,8 +1,8 @@
 """Adapt rendered statistics to a few people's photographs: a conjugate update of means and covariances.
 
-The rendered heads are the prior. Each new person's photographs are completed to all bootstrap lights by the model itself (the E step of EM);
-then mean and covariance are those of the posterior of a normal-inverse-Wishart model, which is the same as a bootstrap of two groups: the
-rendered heads, moved so that their mean is the posterior mean, and the completed people.
+The rendered heads are the prior. Each new person's photographs are completed to all bootstrap lights by the model itself (the E step of EM).
+The update is that of a normal-inverse-Wishart model, written as a bootstrap of two groups: the completed people, and the rendered heads,
+moved so that the mean of all is the posterior mean. So every statistic, loadings and cross-validated residuals included, is learned as ever.
 """
 
 from __future__ import annotations
@@ -112,7 +112,9 @@ def adapt(
     completed = [_complete(relighter, person) for person in people]
     gains = [_gain(images, rendered_mean) for images in completed]
     mean = torch.stack([images / gain for images, gain in zip(completed, gains, strict=True)]).mean(0)
-    move = len(people) / (prior_heads + len(people)) * (mean - rendered_mean)
+    heads, count = len(statistics.store), len(people)
+    posterior_mean = (prior_heads * rendered_mean + count * mean) / (prior_heads + count)
+    move = ((heads + count) * posterior_mean - count * mean) / heads - rendered_mean  # so that all of them together have that mean
     adapted = FaceStatistics(statistics.lights, statistics.options)
     for array in statistics.store.arrays():
         images = torch.from_numpy(array.copy())

@@ -77,11 +77,15 @@ class BootstrapDataset(Dataset[RenderedHead]):
     def __len__(self) -> int:
         return self.count
 
+    def look(self, index: int) -> Look:
+        """Person ``index``'s paint."""
+        return Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
+
     def surface(self, index: int) -> tuple[Surface, Material]:
         """Person ``index``, painted and seen by the camera, and their material."""
         if self._renderer is None:
             self._renderer = open_renderer(self.frame, self.supersample)
-        look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
+        look = self.look(index)
         upright = stand(self.source.head(index), np.random.default_rng((self.seed, index, 2)), self.domain)
         head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
         return view_surface(self._renderer, head, look), look.material

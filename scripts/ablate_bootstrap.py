@@ -1,0 +1,142 @@
+"""What each cause of realism is worth: rendered statistics measured on real faces while one cause after another is added.
+
+For every row: RMSE in grey levels from a frontal and from a side-lit photograph to all other lights (yale-relight, whole-face model), and
+rank-1 accuracy with all people enrolled from a frontal photograph (yale-recognize, Weber faces, individual PCA of 9 dimensions).
+
+python scripts/ablate_bootstrap.py --data yaleb_192x168.npz --markdown ablation.md
+"""
+
+import argparse
+import multiprocessing
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from facerelight.bootstrap.dataset import FaceImages, load_yale
+from facerelight.bootstrap.domain import Domain
+from facerelight.bootstrap.skin import Look
+from facerelight.config import TrainConfig
+from facerelight.evaluation import relighting_errors
+from facerelight.lights import angles_from_light
+from facerelight.recognition.evaluation import evaluate_gallery, training_lights
+from facerelight.relighter import StatisticalRelighter
+from facerelight.statistics import FaceStatistics
+from facerelight.training import make_dataset
+
+PAINT = {
+    "brows, eyes, lips": ("brows", "lips", "sockets", "iris"),
+    "stubble and hair": ("stubble", "hair"),
+    "pigment and grain": ("pigment", "grain"),
+}
+BARE = {name: 0.0 for names in PAINT.values() for name in names} | {"hairline": 3.0}
+NOISE = 2 / 255  # of the sensor, standard deviation
+MOTION = 0.3  # pixels by which a head moves between lights, standard deviation
+
+
+def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
+    """Rows: what is added, the domain, and the paint that is still left out."""
+    plain = replace(found, tone_low=0.5, tone_high=0.5, specular=0.0, fill=0.0, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
+    rows, bare = [("flat skin, black shadows", plain, dict(BARE))], dict(BARE)
+
+    def add(name: str, **settings: float) -> None:
+        rows.append((name, replace(rows[-1][1], **settings), dict(bare)))
+
+    add("skin tones", tone_low=found.tone_low, tone_high=found.tone_high)
+    for name, parts in PAINT.items():
+        for part in (*parts, *(("hairline",) if "hair" in parts else ())):
+            del bare[part]
+        add(name)
+    add("fill light", fill=found.fill)
+    add("highlights of a rough surface", specular=found.specular)
+    add("heads that look up", pitch=found.pitch)
+    add("heads turned a little", turn=found.turn)
+    add("landmarks a little off", misalign=found.misalign)
+    add("lamps brighter at the side", side_light=found.side_light)
+    return rows
+
+
+def render(config: TrainConfig, bare: dict[str, float], part: int, *, parts: int) -> torch.Tensor:
+    """Every ``parts``-th head of a config from number ``part`` on, without some of its paint, ``(N, J, H, W)``."""
+    torch.set_num_threads(1)
+    dataset = make_dataset(config)
+    painted: Callable[[int], Look] = dataset.look
+    vars(dataset)["look"] = lambda index: replace(painted(index), **bare)
+    images = torch.stack([dataset[index].images for index in range(part, config.heads, parts)])
+    dataset.close()
+    return images
+
+
+def shaken(images: torch.Tensor) -> torch.Tensor:
+    """Images of heads that move a little between lights."""
+    count, lights, height, width = images.shape
+    generator = torch.Generator().manual_seed(0)
+    shift = MOTION * torch.randn(count * lights, 2, generator=generator) * torch.tensor((2 / width, 2 / height))
+    matrix = torch.cat((torch.eye(2).expand(len(shift), 2, 2), shift[..., None]), -1)
+    grid = torch.nn.functional.affine_grid(matrix, [len(shift), 1, height, width], align_corners=False)
+    moved = torch.nn.functional.grid_sample(images.flatten(0, 1)[:, None], grid, padding_mode="border", align_corners=False)
+    return moved[:, 0].view_as(images)
+
+
+def noisy(images: torch.Tensor) -> torch.Tensor:
+    """Images of a sensor with noise that saturates at 1."""
+    return (images + NOISE * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 1)
+
+
+def measure(images: torch.Tensor, faces: FaceImages, rank: int) -> tuple[float, float, float]:
+    """RMSE front, RMSE side, rank-1 accuracy in percent."""
+    statistics = FaceStatistics.fit(images, faces.lights, None, face_rank=rank, brightness=True)
+    front, side = (float(relighting_errors(statistics, faces, case).nanmean()) for case in ("front", "side"))
+    gallery = next(training_lights(faces, list(range(len(faces.names))), "front", 1))
+    relighter = StatisticalRelighter(statistics, "face")
+    name = "individual_pca_9+weber"
+    right = evaluate_gallery(faces, gallery, relighter, [name])[name].right
+    return front, side, 100 * float(right.float().mean())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser.add_argument("--ict", type=Path, default=None, help="ict_heads.npz, for the rows with scanned heads")
+    parser.add_argument("--heads", type=int, default=80)
+    parser.add_argument("--height", type=int, default=48)
+    parser.add_argument("--width", type=int, default=42)
+    parser.add_argument("--markdown", type=Path, default=None)
+    args = parser.parse_args()
+    torch.set_grad_enabled(False)
+    faces = load_yale(args.data, args.height, args.width)
+    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+    config = TrainConfig(args.heads, lights=angles, height=args.height, width=args.width, margin=0.0)
+    lines = ["| added | RMSE front | RMSE side | rank-1 |", "|---|---|---|---|"]
+    print("\n".join(lines))
+
+    def row(name: str, images: torch.Tensor) -> None:
+        front, side, accuracy = measure(images, faces, min(40, len(images) // 2))
+        lines.append(f"| {name} | {front:.2f} | {side:.2f} | {accuracy:.1f} |")
+        print(lines[-1], flush=True)
+
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+
+        def rendered(config: TrainConfig, bare: dict[str, float]) -> torch.Tensor:
+            return torch.cat(pool.map(partial(render, config, bare, parts=2), range(2)))
+
+        for name, domain, bare in worlds(Domain()):
+            images = rendered(replace(config, domain=domain), bare)
+            row(name, images)
+        row("(not kept) sensor noise, saturation", noisy(images))
+        row("(not kept) motion between lights", shaken(images))
+        row("half as many heads", images[::2])
+        row("twice as many heads", rendered(replace(config, heads=2 * args.heads), {}))
+        if args.ict:
+            upright = replace(Domain(), pitch=0.0)  # the scans hold their heads as people do
+            scans = rendered(replace(config, source=str(args.ict), domain=upright), {})
+            row("scanned heads instead (ICT-FaceKit)", scans)
+            row("both kinds of heads, half of each", torch.cat((images[::2], scans[::2])))
+    if args.markdown:
+        args.markdown.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
