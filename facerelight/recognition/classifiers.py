@@ -84,6 +84,12 @@ class Classifier(nn.Module):
         right = [p == label for p, label in zip(self.predict(images), labels, strict=True)]
         return sum(right) / max(len(right), 1)
 
+    def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
+        """Set ``reject`` so that this share of ``images``, new ones of enrolled people, is turned away."""
+        best = self.decision_function(images).max(1).values
+        self.reject = float(best.quantile(false_rejections))
+        return self
+
 
 def _moved(images: Tensor, down: int, right: int) -> Tensor:
     """``images (M, H, W)`` moved by whole pixels, their borders repeated."""
@@ -163,7 +169,7 @@ class NearestNeighborClassifier(Classifier):
         if self.metric == "l0":
             near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).float() for row in rows])
         else:
-            near = -torch.cdist(rows, self.exemplars).square()
+            near = -torch.cdist(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
         assert self.classes_ is not None
         scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
@@ -213,7 +219,7 @@ class IndividualPCAClassifier(Classifier):
         dimension: of each subspace; None: as few as leave 1 % of the energy, 35 to 45 in the thesis.
         error: that error.
         normalizer, shift: see :class:`Classifier`.
-        reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`calibrate`.
+        reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`Classifier.calibrate`.
 
     Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``dimensions (C,)``.
 
@@ -286,9 +292,3 @@ class IndividualPCAClassifier(Classifier):
 
     def _scores(self, rows: Tensor) -> Tensor:
         return -self._errors(rows) / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
-
-    def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
-        """Set ``reject`` so that this share of ``images``, all of enrolled people, is turned away."""
-        best = self.decision_function(images).max(1).values
-        self.reject = float(best.quantile(false_rejections))
-        return self

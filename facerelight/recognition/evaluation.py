@@ -9,7 +9,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from facerelight.alignment import CropFrame
 from facerelight.bootstrap.dataset import FaceImages, to_grid
+from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
+from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import (
     Classifier,
     GlobalPCAClassifier,
@@ -21,9 +24,19 @@ from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
 
-__all__ = ["CLASSIFIERS", "Tally", "evaluate_gallery", "training_lights"]
+__all__ = ["BASELINES", "CLASSIFIERS", "Tally", "evaluate_gallery", "training_lights"]
 
-CLASSIFIERS = ("nearest_neighbor", "nearest_neighbor+exemplars", "global_pca", "individual_pca", "individual_pca_9", "individual_pca_9+photo")
+CLASSIFIERS = (
+    "nearest_neighbor",
+    "nearest_neighbor+exemplars",
+    "global_pca",
+    "individual_pca",
+    "individual_pca_9",
+    "individual_pca_9+photo",
+    "gaussian_9",
+    "gaussian_mixture_9",
+)
+BASELINES = ("eigenfaces", "fisherfaces", "lbph", "sface")
 
 
 class Tally(NamedTuple):
@@ -85,7 +98,7 @@ def evaluate_gallery(
         faces: the data.
         gallery: person to light of the training image.
         relighter: synthesises exemplars.
-        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs" or "+weber" where wanted.
+        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs" or "+weber" where wanted, and of :data:`BASELINES`.
         estimated: estimate the training images' lights instead of taking the labels.
         exemplars: lights to synthesise under, see :func:`exemplar_lights`.
         shift: pixels by which probes may lie off, for all classifiers.
@@ -107,28 +120,49 @@ def evaluate_gallery(
     relit = synthesize(posterior, lights)
     rows = torch.cat((relit, training[:, None]), 1).flatten(0, 1)
     owners = [person for person in people for _ in range(relit.shape[1] + 1)]
+    data = _Gallery(training, people, rows, owners, (faces.images.shape[1], faces.images.shape[2]), shift)
     tallies = {}
     for name in classifiers:
-        base, photometric = _split_name(name)
-        normalizer = make_normalizer(photometric)
         started = time.perf_counter()
-        if base == "nearest_neighbor":
-            metric = "cosine" if photometric else "l2"
-            fitted: Classifier = NearestNeighborClassifier(metric, normalizer=normalizer, shift=shift).fit(training, people)
-        elif base == "nearest_neighbor+exemplars":
-            fitted = NearestNeighborClassifier(normalizer=normalizer, shift=shift).fit(rows, owners)
-        elif base == "global_pca":
-            fitted = GlobalPCAClassifier(40, normalizer=normalizer, shift=shift).fit(rows, owners)
-        else:
-            dimension = None if base == "individual_pca" else 9
-            fitted = IndividualPCAClassifier(dimension, normalizer=normalizer, shift=shift).fit(rows, owners)
-            if base.endswith("+photo"):
-                photo = NearestNeighborClassifier("cosine", normalizer=normalizer, shift=shift).fit(training, people)
-                fitted = SumClassifier([photo, fitted])
-        found = fitted.predict(stack)
+        found = _fitted(name, data).predict(stack)
         right = torch.tensor([a == b for a, b in zip(found, labels, strict=True)])
         tallies[name] = Tally(right, torch.cat(parts), time.perf_counter() - started)
     return tallies
+
+
+class _Gallery(NamedTuple):
+    """``photos`` of ``people``; ``rows``, these and their exemplars, of ``owners``; the images' ``size`` and the probes' ``shift``."""
+
+    photos: Tensor
+    people: list[int]
+    rows: Tensor
+    owners: list[int]
+    size: tuple[int, int]
+    shift: int
+
+
+def _fitted(name: str, data: _Gallery) -> Classifier:
+    """The classifier ``name``, fitted."""
+    if name in BASELINES:
+        if name == "sface":
+            return NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(*data.size))).fit(data.photos, data.people)
+        many = name == "fisherfaces"  # needs more than one image a person
+        return OpenCVClassifier(name).fit(data.rows if many else data.photos, data.owners if many else data.people)
+    base, photometric = _split_name(name)
+    normalizer, shift = make_normalizer(photometric), data.shift
+    photo = NearestNeighborClassifier("cosine" if photometric else "l2", normalizer=normalizer, shift=shift)
+    if base == "nearest_neighbor":
+        return photo.fit(data.photos, data.people)
+    if base == "nearest_neighbor+exemplars":
+        return NearestNeighborClassifier(normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
+    if base == "global_pca":
+        return GlobalPCAClassifier(40, normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
+    if base.startswith("gaussian"):
+        components = 3 if base == "gaussian_mixture_9" else 1
+        return GaussianClassifier(components, 9, normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
+    subspaces = IndividualPCAClassifier(None if base == "individual_pca" else 9, normalizer=normalizer, shift=shift)
+    subspaces.fit(data.rows, data.owners)
+    return SumClassifier([photo.fit(data.photos, data.people), subspaces]) if base.endswith("+photo") else subspaces
 
 
 def _split_name(name: str) -> tuple[str, str | None]:

@@ -1,0 +1,70 @@
+"""Are all skin tones relit equally well? Errors of held-out rendered heads by tone, and of photographs by frontal brightness.
+
+python scripts/evaluate_tones.py --data yaleb_192x168.npz
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from facerelight.bootstrap.dataset import FaceImages, load_yale, to_grid
+from facerelight.config import TrainConfig
+from facerelight.evaluation import relighting_errors
+from facerelight.lights import angles_from_light
+from facerelight.statistics import FaceStatistics
+from facerelight.training import make_dataset
+
+GROUPS = 4
+
+
+def report(name: str, tone: torch.Tensor, errors: dict[str, torch.Tensor], brightness: torch.Tensor) -> None:
+    """One row a group of equal size, from dark to light."""
+    for group in tone.argsort().chunk(GROUPS):
+        means = [float(errors[case][group].nanmean()) for case in ("front", "side")]
+        level = float(brightness[group].mean())
+        share = " | ".join(f"{mean:.1f} | {100 * mean / level:.0f}" for mean in means)
+        print(f"| {name} | {float(tone[group].min()):.2f} to {float(tone[group].max()):.2f} | {len(group)} | {share} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder; its lights serve both")
+    parser.add_argument("--heads", type=int, default=80)
+    parser.add_argument("--people", type=int, default=40, help="held-out rendered heads")
+    parser.add_argument("--height", type=int, default=48)
+    parser.add_argument("--width", type=int, default=42)
+    args = parser.parse_args()
+    torch.set_grad_enabled(False)
+    faces = load_yale(args.data, args.height, args.width)
+    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+    dataset = make_dataset(TrainConfig(args.heads + args.people, lights=angles, height=args.height, width=args.width, margin=0.0))
+    images = torch.stack([dataset[index].images for index in range(len(dataset))])
+    dataset.close()
+    statistics = FaceStatistics.fit(images[: args.heads], faces.lights, None, face_rank=40, brightness=True)
+    strangers = images[args.heads :].clamp(0, 1)
+    count, lights = strangers.shape[:2]
+    held_out = FaceImages(
+        strangers.flatten(0, 1),
+        torch.arange(count).repeat_interleave(lights),
+        torch.arange(lights).repeat(count),
+        faces.lights,
+        faces.angles,
+        torch.zeros(count * lights, dtype=torch.long),
+        [str(i) for i in range(count)],
+    )
+    photos, valid = to_grid(faces)
+    frontal = int(faces.lights[:, 2].argmax())
+    print("| faces | tone | people | RMSE front | % of brightness | RMSE side | % of brightness |\n|---|---|---|---|---|---|---|")
+    tone = torch.tensor([dataset.look(args.heads + index).tone for index in range(count)])
+    cases = ("front", "side")
+    levels = 255 * strangers[:, frontal].mean((1, 2))
+    report("rendered, by albedo", tone, {case: relighting_errors(statistics, held_out, case).nanmean(1) for case in cases}, levels)
+    bright = torch.where(valid[:, frontal], photos[:, frontal].mean((1, 2)), torch.nan)
+    known = bright.isfinite().nonzero()[:, 0]
+    errors = {case: relighting_errors(statistics, faces, case).nanmean(1)[known] for case in cases}
+    report("Yale B, by frontal brightness", bright[known], errors, 255 * bright[known])
+
+
+if __name__ == "__main__":
+    main()
