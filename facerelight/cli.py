@@ -11,7 +11,7 @@ from pathlib import Path
 from jsonargparse import ArgumentParser, Namespace
 
 from facerelight.bootstrap.domain import Domain
-from facerelight.config import TrainConfig, default_statistics_folder
+from facerelight.config import QUALITIES, TrainConfig, default_statistics_folder, quality_config
 from facerelight.statistics import FitOptions
 
 __all__ = ["main", "read_config"]
@@ -52,6 +52,7 @@ def _relight_parser() -> ArgumentParser:
         help="the mean image, the most probable one, or n without a prior (from three photos or more)",
     )
     parser.add_argument("--covariance", type=str, default="face", choices=["face", "pixel"], help="whole-face or per-pixel model")
+    parser.add_argument("--quality", type=str, default="standard", choices=list(QUALITIES), help="of the statistics: how many heads, how fine")
     parser.add_argument("--statistics", type=str | None, default=None, help="folder of trained statistics (default: the user's cache)")
     parser.add_argument("--json", action="store_true", help="print what was done as JSON")
     return parser
@@ -63,6 +64,7 @@ def _recognize_parser() -> ArgumentParser:
     parser.add_argument("--enroll", type=str | None, default=None, help="folder with NAME.jpg or NAME/*.jpg: make the gallery from it")
     parser.add_argument("--photos", type=str, nargs="*", default=[], help="photos to identify")
     parser.add_argument("--reject", type=float | None, default=None, help="largest relative error that is not a stranger")
+    parser.add_argument("--quality", type=str, default="standard", choices=list(QUALITIES), help="of the statistics: how many heads, how fine")
     parser.add_argument("--statistics", type=str | None, default=None, help="folder of trained statistics (default: the user's cache)")
     parser.add_argument("--json", action="store_true", help="print the answers as JSON")
     return parser
@@ -133,7 +135,7 @@ def _relight(arguments: Namespace) -> int:
 
     lights = _lights(arguments.azimuth, arguments.elevation)
     photo, *more = (read_photo(path) for path in arguments.photo)
-    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics), arguments.covariance)
+    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics, arguments.quality), arguments.covariance)
     landmarks = _landmarks(arguments.landmarks)
     session = PhotoRelighter(photo.rgb, landmarks, relighter, more=[other.rgb for other in more], method=arguments.method)
     output = Path(arguments.output)
@@ -165,7 +167,7 @@ def _recognize(arguments: Namespace) -> int:
     if not arguments.enroll and not arguments.photos:
         raise ValueError("recognize: expected --enroll FOLDER, --photos FILE ..., or both")
     people = find_people(arguments.enroll) if arguments.enroll else {}
-    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics))
+    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics, arguments.quality))
     if arguments.enroll:
         gallery = Gallery(relighter)
         for name, photos in people.items():
@@ -184,13 +186,13 @@ def _recognize(arguments: Namespace) -> int:
     return 1 if answers and all(answer.name is None for answer in answers.values()) else 0
 
 
-def _statistics_folder(given: str | None) -> Path:
+def _statistics_folder(given: str | None, quality: str) -> Path:
     """The folder asked for; by default the cached statistics, which are trained where there are none yet."""
     if given:
         return Path(given)
     from facerelight.training import trained_folder
 
-    return trained_folder(TrainConfig())
+    return trained_folder(quality_config(quality))
 
 
 def _lights(azimuth: list[float], elevation: list[float]) -> list[tuple[float, float]]:

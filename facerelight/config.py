@@ -19,7 +19,7 @@ from facerelight.lights import even_hemisphere, light_from_angles, merge_repeats
 from facerelight.statistics import FitOptions
 from facerelight.statistics_file import FORMAT_VERSION
 
-__all__ = ["DEFAULT_CONFIG", "TrainConfig", "cache_folder", "default_statistics_folder"]
+__all__ = ["DEFAULT_CONFIG", "QUALITIES", "TrainConfig", "cache_folder", "default_statistics_folder", "quality_config"]
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,19 @@ class TrainConfig:
 
 
 DEFAULT_CONFIG = TrainConfig()
+QUALITIES = {
+    "draft": TrainConfig(heads=40, lights=32, height=96, width=84, supersample=1, fit=FitOptions(face_rank=20, basis=12, brightness=True)),
+    "standard": DEFAULT_CONFIG,
+    "reference": TrainConfig(heads=240, lights=100, height=192, width=168, fit=FitOptions(face_rank=80, brightness=True)),
+}
+"""Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and ``reference.yaml``)."""
+
+
+def quality_config(quality: str) -> TrainConfig:
+    """The training config behind "draft", "standard" or "reference"."""
+    if quality not in QUALITIES:
+        raise ValueError(f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}")
+    return QUALITIES[quality]
 
 
 def cache_folder() -> Path:

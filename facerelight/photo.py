@@ -7,6 +7,7 @@ to the photo's own pixels, so detail and colour are the photo's. Where the input
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import kornia
 import numpy as np
@@ -15,7 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_from_crop, warp_to_crop
-from facerelight.config import DEFAULT_CONFIG, TrainConfig, default_statistics_folder
+from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
 from facerelight.face_mask import face_mask
 from facerelight.illumination import fit_soft_light, quasi_normal
@@ -30,19 +31,22 @@ DARK = 0.05  # linear radiance below which a ratio would only amplify noise
 LARGEST_RATIO = 4.0
 LIGHT_DRAWS = 16
 
+Quality = Literal["draft", "standard", "reference"]
 Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
 LUMA = (0.2126, 0.7152, 0.0722)
 
 
-def load_relighter(config: TrainConfig = DEFAULT_CONFIG, cache: str | None = None) -> StatisticalRelighter:
-    """The relighter with the cached statistics of ``config``.
+def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
+    """The relighter with the cached statistics of a quality, see :data:`facerelight.config.QUALITIES`.
 
     Raises:
+        ValueError: an unknown quality.
         RuntimeError: they have not been trained yet; says which command does it.
     """
-    folder = default_statistics_folder(config, cache)
+    folder = default_statistics_folder(quality_config(quality), cache)
     if not (folder / "statistics.safetensors").exists():
-        raise RuntimeError(f"statistics: none in {folder}; train them once with `facerelight train` (about two minutes)")
+        command = "facerelight train" if quality == "standard" else f"facerelight relight PHOTO --quality {quality}"
+        raise RuntimeError(f"statistics: none of quality {quality!r} in {folder}; train them once with `{command}`")
     return StatisticalRelighter.from_pretrained(folder)
 
 
@@ -52,6 +56,7 @@ def relight(
     elevation: float = 0.0,
     landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None = None,
     relighter: StatisticalRelighter | None = None,
+    quality: Quality = "standard",
 ) -> np.ndarray | Image.Image:
     """Relight the face in a photo.
 
@@ -60,7 +65,8 @@ def relight(
         azimuth: degrees, where the new light stands; positive at image-left.
         elevation: degrees; positive above.
         landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None finds them.
-        relighter: default: the cached default statistics (``facerelight train`` makes them).
+        relighter: default: the one with the cached statistics of ``quality`` (``facerelight train`` makes them).
+        quality: "draft", "standard" or "reference": coarser statistics of fewer heads, or finer ones of more.
 
     Returns:
         The relit photo, of the type and size that came in. For many lights, use :class:`PhotoRelighter`.
@@ -75,7 +81,7 @@ def relight(
         (512, 512, 3)
     """
     array = np.asarray(photo.convert("RGB")) if isinstance(photo, Image.Image) else photo
-    relit = PhotoRelighter(array, landmarks, relighter).render(azimuth, elevation)
+    relit = PhotoRelighter(array, landmarks, relighter, quality=quality).render(azimuth, elevation)
     return Image.fromarray(relit) if isinstance(photo, Image.Image) else relit
 
 
@@ -90,6 +96,7 @@ class PhotoRelighter:
         more: further photos of the same person, as evidence; their landmarks and lights are found.
         method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own uncertainty counted in;
             "mle": n without a prior, from three photos or more under different lights.
+        quality: as for :func:`relight`.
 
     Raises:
         ValueError: a photo or landmarks that cannot be used, or too few photos for the method.
@@ -103,8 +110,9 @@ class PhotoRelighter:
         source_light: Tensor | None = None,
         more: Sequence[np.ndarray] = (),
         method: Method = "expected",
+        quality: Quality = "standard",
     ) -> None:
-        self.relighter = relighter or load_relighter()
+        self.relighter = relighter or load_relighter(quality)
         height, width = self.relighter.statistics.size
         margin = float(self.relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
         self.frame = CropFrame(height, width, margin)

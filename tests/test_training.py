@@ -6,8 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
 
+from facerelight.cli import main, read_config
+from facerelight.config import QUALITIES, quality_config
 from facerelight.statistics import FaceStatistics
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
@@ -37,3 +40,16 @@ def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
     assert all(float(row["milliseconds"]) > 0 and 0 < float(row["rmse_side"]) < 100 for row in rows)
     assert (tmp_path / "trade_off.png").stat().st_size > 1000
     assert "**whole-face**" in (tmp_path / "trade_off.md").read_text()
+
+
+@pytest.mark.parametrize("quality", list(QUALITIES))
+def test_the_configs_are_the_qualities(quality: str) -> None:
+    name = "default" if quality == "standard" else quality
+    assert read_config(Path(__file__).parents[1] / "configs" / f"{name}.yaml") == quality_config(quality)
+
+
+def test_an_unknown_quality_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="draft, standard, reference"):
+        quality_config("finest")
+    assert main(["relight", "photo.jpg", "--quality", "finest"]) == 2
+    assert "draft" in capsys.readouterr().err
