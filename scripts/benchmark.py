@@ -20,6 +20,8 @@ import torch
 
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.lights import even_hemisphere
+from facerelight.recognition.classifiers import IndividualPCAClassifier
+from facerelight.recognition.subspaces import Subspace
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 
@@ -93,11 +95,24 @@ def measure() -> dict[str, float]:
     results |= {"estimate_seconds": mine, "estimate_over_gemm": ratio}
     thumbnail = prototypes[0][None]
     results["estimate_over_thumbnail_gemm"] = paired(lambda: estimator(person), lambda: thumbnail @ prototypes.T, 25)[2]
-    results |= photo(learned)
+    results |= photo(learned) | recognition()
     deps = seconds("import torch, kornia, cv2, PIL.Image, safetensors")
     results["import_seconds_over_deps"] = seconds("import torch, kornia, cv2, PIL.Image, safetensors, facerelight") - deps
     results["import_seconds_over_torch_kornia"] = seconds("import torch, kornia, facerelight") - seconds("import torch, kornia")
     return results
+
+
+def recognition(people: int = 1000, pixels: int = 100, dimension: int = 40) -> dict[str, float]:
+    """One probe against the subspaces of many people, over the product of the probe with all of their bases side by side."""
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.linalg.qr(torch.randn(pixels**2, dimension, generator=generator)).Q
+    spaces = [Subspace(torch.zeros(pixels**2), directions.roll(i, 0), torch.ones(dimension)) for i in range(people)]
+    classifier = IndividualPCAClassifier().fit_subspaces(spaces, list(range(people)))
+    side_by_side = classifier.bases.permute(1, 0, 2).reshape(pixels**2, people * dimension).contiguous()
+    probe = torch.rand(1, pixels, pixels, generator=generator)
+    row = probe.flatten(1)
+    mine, _, ratio = paired(lambda: classifier.decision_function(probe), lambda: row @ side_by_side)
+    return {"recognize_1000_seconds": mine, "recognize_1000_over_gemm": ratio, "recognize_1000_mb": classifier.bases.numel() * 4 / 1e6}
 
 
 def photo(learned: FaceStatistics) -> dict[str, float]:

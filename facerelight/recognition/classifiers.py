@@ -221,7 +221,8 @@ class IndividualPCAClassifier(Classifier):
         normalizer, shift: see :class:`Classifier`.
         reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`Classifier.calibrate`.
 
-    Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``dimensions (C,)``.
+    Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``offsets (C, k)`` of the means in them,
+    ``dimensions (C,)``.
 
     Example:
         >>> images = torch.rand(12, 8, 8)
@@ -232,6 +233,7 @@ class IndividualPCAClassifier(Classifier):
 
     means: Tensor
     bases: Tensor
+    offsets: Tensor
     dimensions: Tensor
 
     def __init__(
@@ -241,7 +243,7 @@ class IndividualPCAClassifier(Classifier):
         if dimension is not None and dimension < 0:
             raise ValueError(f"dimension: expected at least 0, got {dimension}")
         self.dimension, self.error = dimension, error
-        for name in ("means", "bases"):
+        for name in ("means", "bases", "offsets"):
             self.register_buffer(name, torch.zeros(0))
         self.register_buffer("dimensions", torch.zeros(0, dtype=torch.long))
 
@@ -273,6 +275,7 @@ class IndividualPCAClassifier(Classifier):
         widest = max(space.basis.shape[1] for space in spaces)
         self.means = torch.stack([space.mean for space in spaces])
         self.bases = torch.stack([nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces])
+        self.offsets = torch.einsum("cdk,cd->ck", self.bases, self.means)
         self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces])
 
     def reconstruction_error(self, images: Tensor) -> Tensor:
@@ -282,11 +285,8 @@ class IndividualPCAClassifier(Classifier):
         return self._errors(self._rows(images))
 
     def _errors(self, rows: Tensor) -> Tensor:
-        """``|x - m|^2 - |B^T (x - m)|^2``, by one matrix product with all bases side by side."""
-        people, size, width = self.bases.shape
-        bases = self.bases.permute(1, 0, 2).reshape(size, people * width)
-        shift = torch.einsum("cdk,cd->ck", self.bases, self.means)
-        inside = (rows @ bases).unflatten(1, (people, width)) - shift
+        """``|x - m|^2 - |B^T (x - m)|^2``; the bases are read once, where they lie."""
+        inside = torch.matmul(rows, self.bases).transpose(0, 1) - self.offsets  # (M, C, k)
         outside = rows.square().sum(1, keepdim=True) - 2 * rows @ self.means.T + self.means.square().sum(1)
         return (outside - inside.square().sum(-1)).clamp_min(0)
 

@@ -16,6 +16,7 @@ from facerelight.photo import PhotoRelighter
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
 from facerelight.recognition.photometric import make_normalizer
+from facerelight.recognition.subspaces import Subspace
 from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["Gallery", "Identification"]
@@ -105,13 +106,15 @@ class Gallery:
                 raise ValueError(f"expected version {GALLERY_VERSION}, got {header.get('version')}")
             gallery = cls(relighter, header["photometric"], header["dimension"])
             state = gallery.classifier
-            state.classes_, state.reject = header["names"], header["reject"]
-            state.means, state.bases, state.dimensions = (tensors[name] for name in ("means", "bases", "dimensions"))
+            means, bases, sizes = (tensors[name] for name in ("means", "bases", "dimensions"))
+            state.reject = header["reject"]
             height, width = relighter.statistics.size
             people, pixels = len(header["names"]), height * width
-            fits = state.bases.dim() == 3 and state.bases.shape[:2] == state.means.shape == (people, pixels) and len(state.dimensions) == people
-            if not fits or not torch.isfinite(state.bases).all() or not torch.isfinite(state.means).all():
-                raise ValueError(f"expected finite bases of {people} people at {height} x {width}, got {tuple(state.bases.shape)}")
+            fits = bases.dim() == 3 and bases.shape[:2] == means.shape == (people, pixels) and len(sizes) == people
+            if not fits or not torch.isfinite(bases).all() or not torch.isfinite(means).all():
+                raise ValueError(f"expected finite bases of {people} people at {height} x {width}, got {tuple(bases.shape)}")
+            spaces = [Subspace(mean, basis[:, :k], torch.ones(k)) for mean, basis, k in zip(means, bases, sizes.tolist(), strict=True)]
+            state.fit_subspaces(spaces, header["names"])
         except (OSError, KeyError, TypeError, ValueError, AttributeError, SafetensorError) as error:
             raise ValueError(f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`") from error
         return gallery
