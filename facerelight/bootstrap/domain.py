@@ -25,14 +25,14 @@ class Domain:
 
     tone_low: float = 0.3
     tone_high: float = 0.8
-    texture: float = 0.1
+    texture: float = 0.05
     specular: float = 0.055
     roughness: float = 0.35
-    fill: float = 0.05
+    fill: float = 0.02
     side_light: float = 0.4
     pitch: float = 8.0
-    turn: float = 4.0
-    misalign: float = 0.05
+    turn: float = 6.0
+    misalign: float = 0.07
 
     def __post_init__(self) -> None:
         if not (0 < self.tone_low <= self.tone_high <= 1.5):
