@@ -1,6 +1,7 @@
 """The rendered world against analytic spheres and ray casting."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ import trimesh
 from facerelight.alignment import CropFrame
 from facerelight.bootstrap.domain import Domain, Material
 from facerelight.bootstrap.generate import BootstrapDataset, open_renderer
-from facerelight.bootstrap.heads import Head, MakeHumanHeads, MeshFolder, place_in_frame, rotate
+from facerelight.bootstrap.heads import PIVOT, Head, MakeHumanHeads, MeshFolder, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.scene import EFFECTS, plan_effects, shade, view_surface
+from facerelight.bootstrap.scene import EFFECTS, _highlight, _highlight_reach, plan_effects, shade, view_surface
 from facerelight.bootstrap.skin import Look
 from facerelight.lights import even_hemisphere, light_from_angles
 
@@ -173,3 +174,47 @@ def test_least_squares_normals_follow_the_mesh(dataset: BootstrapDataset) -> Non
     cosine = (torch.nn.functional.normalize(fitted, dim=-1) * surface.normal).sum(-1).clamp(-1, 1)
     front = surface.normal[:, 2] > 0.5
     assert torch.rad2deg(torch.acos(cosine[front])).median() < 15
+
+
+def test_the_highlight_is_torrance_and_sparrow() -> None:
+    """Against the formula written out pixel by pixel in float64, and nowhere visible where the plan says it cannot be."""
+    generator = torch.Generator().manual_seed(0)
+    normal = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator) * torch.tensor((1.0, 1.0, 0.5)), dim=1)
+    normal[:, 2] = normal[:, 2].abs()
+    skin = Material(specular=0.05, roughness=0.35, fill=0.0)
+    for azimuth, elevation in ((0.0, 0.0), (60.0, 10.0), (-100.0, 20.0)):
+        light = light_from_angles(azimuth, elevation)
+        half = (light + torch.tensor((0.0, 0.0, 1.0))).double()
+        half = half / half.norm()
+        got = _highlight(normal, light, skin)
+        for n, value in zip(normal.double(), got, strict=True):
+            nh, nl, nv, vh = max(float(n @ half), 1e-3), max(float(n @ light.double()), 0.0), max(float(n[2]), 0.05), float(half[2])
+            beckmann = np.exp(-(1 / nh**2 - 1) / 0.35**2) / (0.35**2 * nh**4)  # times pi, as the white surface's radiance is
+            fresnel = 0.05 / 0.028 * (0.028 + (1 - 0.028) * (1 - vh) ** 5)
+            grooves = min(1.0, 2 * nh * nv / vh, 2 * nh * nl / vh)
+            assert abs(float(value) - fresnel * beckmann * grooves / (4 * nv)) < 1e-4 * max(1.0, float(value))
+        beyond = normal @ half.float() <= _highlight_reach(skin)
+        assert beyond.any()
+        assert got[beyond].max() < 1e-6
+
+
+def test_heads_stand_as_the_domain_says() -> None:
+    upright = MakeHumanHeads(0).head(0)
+    exact = Domain(pitch=0.0, turn=0.0, misalign=0.0)
+    assert np.allclose(stand(upright, np.random.default_rng(0), exact).vertices, upright.vertices)
+    up = stand(upright, np.random.default_rng(0), replace(exact, pitch=10.0))
+    nose = upright.vertices[:, 2].argmax()
+    assert up.vertices[nose, 1] > upright.vertices[nose, 1]  # who looks up lifts the nose
+    several = [stand(upright, np.random.default_rng(i), replace(exact, turn=5.0, misalign=0.05)) for i in range(200)]
+    sideways = np.rad2deg([np.arcsin(np.clip((h.vertices[nose, 0]) / (upright.vertices[nose, 2] - PIVOT[2]), -1, 1)) for h in several])
+    assert 3.5 < sideways.std() < 5.5
+    marks = np.stack([h.landmarks for h in several]) - np.stack([rotate_back(h, upright) for h in several])
+    assert 0.04 < marks[..., :2].std() < 0.06
+    assert np.abs(marks[..., 2]).max() < 1e-6
+
+
+def rotate_back(turned: Head, upright: Head) -> np.ndarray:
+    """Where a turned head's landmarks truly are, by the rotation that its vertices went through."""
+    a, b = upright.vertices - PIVOT, turned.vertices - PIVOT
+    u, _, vt = np.linalg.svd(b.T @ a)
+    return (upright.landmarks - PIVOT) @ (u @ vt).T + PIVOT

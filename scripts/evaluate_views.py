@@ -1,0 +1,91 @@
+"""Recognition across light, pose and expression (6.4, 7.3): one frontal photograph a person, held-out rendered heads.
+
+Exemplars of each person are rendered under other lights, poses and expressions from the one photograph, with statistics rendered on demand;
+a person is the PCA subspace of them. Probes lie between the exemplars' views.
+
+python scripts/evaluate_views.py --markdown views.md
+"""
+
+import argparse
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from tqdm import tqdm
+
+from facerelight.config import TrainConfig
+from facerelight.pose import BootstrapViews, View, ViewRelighter
+from facerelight.recognition.classifiers import IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.photometric import make_normalizer
+
+LIGHTS = [(0.0, 0.0), (45.0, 0.0), (-45.0, 0.0), (0.0, 40.0), (0.0, -35.0), (70.0, 10.0), (-70.0, 10.0)]
+POSES = [0.0, 20.0, -20.0, 40.0, -40.0]
+
+
+def exemplar_views(expressions: list[tuple[tuple[str, float], ...]]) -> dict[str, list[View]]:
+    """Views of the exemplars, by what they vary over."""
+    lights = [View(light=light) for light in LIGHTS]
+    poses = [View(azimuth, light=light) for azimuth in POSES for light in LIGHTS[:4]]
+    moods = [View(light=light, expression=expression) for expression in expressions for light in LIGHTS[:4]]
+    return {"light": lights, "light, pose": lights + poses, "light, pose, expression": lights + poses + moods}
+
+
+def probe_views(expressions: list[tuple[tuple[str, float], ...]]) -> dict[str, list[View]]:
+    """Views of the probes, by what is new in them."""
+    half = [tuple((name, 0.7 * weight) for name, weight in expression) for expression in expressions]
+    return {
+        "light": [View(light=light) for light in ((30.0, 20.0), (-60.0, 0.0), (60.0, -10.0))],
+        "pose": [View(azimuth) for azimuth in (10.0, -30.0, 30.0, -45.0)],
+        "expression": [View(expression=expression) for expression in half],
+        "light and pose": [View(-15.0, light=(40.0, 10.0)), View(30.0, light=(-40.0, 0.0))],
+        "all three": [View(15.0, light=(-35.0, 15.0), expression=expression) for expression in half],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--heads", type=int, default=80)
+    parser.add_argument("--people", type=int, default=20, help="held-out heads, all enrolled")
+    parser.add_argument("--height", type=int, default=64)
+    parser.add_argument("--width", type=int, default=56)
+    parser.add_argument("--expressions", nargs="+", default=None, help="names of two or more expression shapes")
+    parser.add_argument("--markdown", type=Path, default=None)
+    args = parser.parse_args()
+    torch.set_grad_enabled(False)
+    names = args.expressions or ["mouthSmileLeft+mouthSmileRight", "jawOpen"]
+    expressions = [tuple((part, 0.8) for part in name.split("+")) for name in names]
+    config = TrainConfig(heads=args.heads, height=args.height, width=args.width, supersample=1)
+    with tempfile.TemporaryDirectory() as folder:
+        source = BootstrapViews(config, folder)
+        people = BootstrapViews(replace(config, heads=args.people), folder, first=args.heads)
+        photos, labels = people.images(View()).clamp(0, 1), list(range(args.people))
+        relighter = ViewRelighter(source, rank=40)
+        rendered: dict[View, torch.Tensor] = {}
+        every = exemplar_views(expressions)["light, pose, expression"]
+        for view in tqdm(every, desc="rendering exemplars"):
+            rendered[view] = relighter(photos[:, None], [View()], view).mean.clamp(0, 1)
+        probes = {name: torch.cat([people.images(view) for view in views]).clamp(0, 1) for name, views in probe_views(expressions).items()}
+    lines = [f"| exemplars over | {' | '.join(probes)} |", f"|---|{'---|' * len(probes)}"]
+
+    def row(name: str, classifier: NearestNeighborClassifier | IndividualPCAClassifier) -> None:
+        scores = [100 * classifier.score(images, labels * (len(images) // len(labels))) for images in probes.values()]
+        lines.append(f"| {name} | {' | '.join(f'{score:.0f}' for score in scores)} |")
+
+    normalizer = make_normalizer("weber")
+    row("(none) the photograph", NearestNeighborClassifier().fit(photos, labels))
+    row("(none) the photograph, Weber faces", NearestNeighborClassifier("cosine", normalizer=normalizer).fit(photos, labels))
+    for name, views in exemplar_views(expressions).items():
+        images = torch.cat([photos, *(rendered[view] for view in views)])
+        owners = labels * (len(images) // len(labels))
+        row(name, IndividualPCAClassifier(9).fit(images, owners))
+        row(f"{name}, Weber faces", IndividualPCAClassifier(9, normalizer=normalizer).fit(images, owners))
+        row(f"{name}, nearest exemplar", NearestNeighborClassifier().fit(images, owners))
+    text = "\n".join(lines)
+    if args.markdown:
+        args.markdown.write_text(text + "\n")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
