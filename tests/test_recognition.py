@@ -188,7 +188,7 @@ def test_gaussian_scores_are_log_densities() -> None:
 
 def test_a_mixture_knows_two_modes() -> None:
     images, labels = blobs(1)
-    single, mixture = (GaussianClassifier(k, 1, noise=1e-4).fit(images, labels) for k in (1, 2))
+    single, mixture = (GaussianClassifier(k, 1, noise=1e-3).fit(images, labels) for k in (1, 2))
     assert len(mixture.owner) == 8
     assert mixture.score(images, labels) == 1.0
     between = (images[0] + images[-1 + 12]) / 2  # nobody looks like the middle of two modes

@@ -22,7 +22,7 @@ class GaussianClassifier(Classifier):
     Args:
         components: of each person's mixture; 1 is a single Gaussian. People with too few exemplars have fewer.
         dimension: directions of each component that vary beyond the noise.
-        noise: variance of a pixel (of the normalised images) beyond the exemplars' own, for what they do not know of real photographs.
+        noise: variance of a pixel beyond the exemplars' own, in units of their mean square, for what they do not know of photographs.
         normalizer, shift: see :class:`Classifier`.
         reject: least score that is not a stranger, in nats a pixel; see :meth:`Classifier.calibrate`.
 
@@ -47,7 +47,7 @@ class GaussianClassifier(Classifier):
         self,
         components: int = 1,
         dimension: int = 9,
-        noise: float = 1e-5,
+        noise: float = 8.0,
         normalizer: nn.Module | None = None,
         reject: float | None = None,
         shift: int = 0,
@@ -61,6 +61,7 @@ class GaussianClassifier(Classifier):
         self.register_buffer("owner", torch.zeros(0, dtype=torch.long))
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:
+        unknown = self.noise * float(rows.square().mean().clamp_min(1e-12))
         parts: list[tuple[Subspace, float, float, int]] = []  # subspace, noise variance, share, person
         for person in range(int(index.max()) + 1):
             own = rows[index == person]
@@ -70,7 +71,7 @@ class GaussianClassifier(Classifier):
                 space = principal_subspace(members, self.dimension)
                 left = (members - space.mean).square().sum() / len(members) - space.singular.square().sum()
                 rest = max(rows.shape[1] - len(space.singular), 1)
-                parts.append((space, self.noise + max(float(left), 0.0) / rest, len(members) / len(own), person))
+                parts.append((space, unknown + max(float(left), 0.0) / rest, len(members) / len(own), person))
         width = max(len(space.singular) for space, *_ in parts)
         pad = nn.functional.pad
         self.means = torch.stack([space.mean for space, *_ in parts])

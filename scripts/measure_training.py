@@ -1,0 +1,115 @@
+"""What training costs: by pass for each head and light, and in time and memory from 50 to 400 heads, with a plan for a million.
+
+python scripts/measure_training.py --picture scaling.png
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import matplotlib
+import torch
+
+from facerelight.bootstrap import scene
+from facerelight.bootstrap.scene import plan_effects, shade
+from facerelight.config import TrainConfig
+from facerelight.training import make_dataset
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+COUNTS = (50, 100, 200, 400)
+MILLION = 1_000_000
+
+
+def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
+    """Median milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the rest of shading."""
+    torch.set_num_threads(1)
+    dataset = make_dataset(config)
+    dataset.surface(0)  # opens the renderer
+    times: dict[str, list[float]] = defaultdict(list)
+    visibility = scene._visibility
+
+    def timed(*arguments):  # type: ignore[no-untyped-def]
+        started = time.perf_counter()
+        result = visibility(*arguments)
+        times["shadow"].append(time.perf_counter() - started)
+        return result
+
+    scene._visibility = timed
+    for index in range(heads):
+        started = time.perf_counter()
+        surface, material = dataset.surface(index)
+        times["head"].append(time.perf_counter() - started)
+        for light in dataset.lights:
+            started = time.perf_counter()
+            plan = plan_effects(surface, light, material)
+            planned = time.perf_counter()
+            shade(surface, light, material, plan, dataset._renderer)  # type: ignore[arg-type]
+            times["plan"].append(planned - started)
+            times["light"].append(time.perf_counter() - planned)
+    scene._visibility = visibility
+    dataset.close()
+    total = {name: 1e3 * sum(values) for name, values in times.items()}
+    lights = heads * len(dataset.lights)
+    return {
+        "geometry of a head": total["head"] / heads,
+        "planning a light": total["plan"] / lights,
+        "shadow pass of a light": total["shadow"] / lights,
+        "rest of a light": (total["light"] - total["shadow"]) / lights,
+    }
+
+
+def trained(heads: int, options: list[str]) -> dict[str, float]:
+    """The report of a training run in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "facerelight.cli", "train", "--heads", str(heads), "--output", folder, "--workers", "0", "--json"]
+        return json.loads(subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--heads", type=int, default=5, help="for the costs by pass, at the default config's size")
+    parser.add_argument("--height", type=int, default=48, help="of the runs of 50 to 400 heads")
+    parser.add_argument("--width", type=int, default=42)
+    parser.add_argument("--lights", type=int, default=32)
+    parser.add_argument("--picture", type=Path, default=None)
+    args = parser.parse_args()
+    torch.set_grad_enabled(False)
+    costs = breakdown(TrainConfig(heads=args.heads), args.heads)
+    print("| pass | ms |\n|---|---|")
+    for name, milliseconds in costs.items():
+        print(f"| {name} | {milliseconds:.1f} |")
+    options = ["--height", str(args.height), "--width", str(args.width), "--lights", str(args.lights), "--supersample", "1"]
+    runs = {count: trained(count, options) for count in COUNTS}
+    print("\n| heads | rendering s | solving s | peak memory MB |\n|---|---|---|---|")
+    for count, run in runs.items():
+        print(f"| {count} | {run['render_seconds']} | {run['solve_seconds']} | {run['peak_memory_mb']} |")
+    config = TrainConfig()
+    a_head = costs["geometry of a head"] + len(config.directions()) * (sum(costs.values()) - costs["geometry of a head"])
+    images = MILLION * len(config.directions()) * config.height * config.width * 4
+    print(f"\na head of the default config: {a_head / 1e3:.2f} s of one core; a million: {MILLION * a_head / 3.6e6:,.0f} core hours,")
+    print(f"{images / 1e12:.1f} TB of images; {86.4e6 / a_head:,.0f} heads a core and day")
+    if args.picture:
+        figure, axes = plt.subplots(1, 2, figsize=(9, 3.2))
+        counts = list(runs)
+        axes[0].plot(counts, [run["render_seconds"] for run in runs.values()], "o-", label="rendering")
+        axes[0].plot(counts, [run["solve_seconds"] for run in runs.values()], "s-", label="solving")
+        axes[1].plot(counts, [run["peak_memory_mb"] for run in runs.values()], "o-")
+        for axis, label in zip(axes, ("seconds, one process", "peak memory, MB"), strict=True):
+            axis.set_xlabel("heads")
+            axis.set_ylabel(label)
+            axis.set_ylim(0)
+            axis.grid(alpha=0.3)
+        axes[0].legend()
+        figure.tight_layout()
+        figure.savefig(args.picture, dpi=90)
+
+
+if __name__ == "__main__":
+    main()
