@@ -13,6 +13,7 @@ from torch import Tensor
 
 __all__ = [
     "angle_grid",
+    "angle_pairs",
     "angles_from_light",
     "angular_distance",
     "even_hemisphere",
@@ -67,6 +68,11 @@ def angles_from_light(light: Tensor) -> tuple[Tensor, Tensor]:
     at_pole = horizontal < 4 * torch.finfo(light.dtype).eps
     azimuth = torch.where(at_pole, torch.zeros_like(x), torch.atan2(-x, z))
     return torch.rad2deg(azimuth), torch.rad2deg(torch.atan2(y, horizontal))
+
+
+def angle_pairs(lights: Tensor) -> list[tuple[float, float]]:
+    """``lights (J, 3)`` as (azimuth, elevation) in degrees, to a thousandth, the way a training config lists them."""
+    return [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(lights), strict=True)]
 
 
 def unit_lights(lights: Tensor) -> Tensor:

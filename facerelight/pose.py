@@ -91,9 +91,7 @@ class BootstrapViews:
         light = light_from_angles(*view.light)[None]
         dataset = make_dataset(self.config, light, (view.azimuth, view.elevation), dict(view.expression))
         dataset.count += self.first
-        images = torch.stack([dataset[self.first + index].images[0] for index in range(self.config.heads)])
-        dataset.close()
-        return images
+        return dataset.images(range(self.first, dataset.count))[:, 0]
 
     def fields(self, views: Sequence[View]) -> ViewFields:
         """Each person's difference from the mean under every view."""

@@ -20,7 +20,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.bootstrap.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angles_from_light
+from facerelight.lights import angle_pairs
 from facerelight.recognition.evaluation import evaluate_gallery, training_lights
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
@@ -28,7 +28,7 @@ from facerelight.training import make_dataset
 
 PAINT = {
     "brows, eyes, lips": ("brows", "lips", "sockets", "iris"),
-    "stubble and hair": ("stubble", "hair"),
+    "stubble and hair": ("stubble", "hair", "hairline"),
     "pigment and grain": ("pigment", "grain"),
 }
 BARE = {name: 0.0 for names in PAINT.values() for name in names} | {"hairline": 3.0}
@@ -46,7 +46,7 @@ def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
 
     add("skin tones", tone_low=found.tone_low, tone_high=found.tone_high)
     for name, parts in PAINT.items():
-        for part in (*parts, *(("hairline",) if "hair" in parts else ())):
+        for part in parts:
             del bare[part]
         add(name)
     add("fill light", fill=found.fill)
@@ -64,9 +64,7 @@ def render(config: TrainConfig, bare: dict[str, float], part: int, *, parts: int
     dataset = make_dataset(config)
     painted: Callable[[int], Look] = dataset.look
     vars(dataset)["look"] = lambda index: replace(painted(index), **bare)
-    images = torch.stack([dataset[index].images for index in range(part, config.heads, parts)])
-    dataset.close()
-    return images
+    return dataset.images(range(part, config.heads, parts))
 
 
 def shaken(images: torch.Tensor) -> torch.Tensor:
@@ -107,7 +105,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
-    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+    angles = angle_pairs(faces.lights)
     config = TrainConfig(args.heads, lights=angles, height=args.height, width=args.width, margin=0.0)
     lines = ["| added | RMSE front | RMSE side | rank-1 |", "|---|---|---|---|"]
     print("\n".join(lines))

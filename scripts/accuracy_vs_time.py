@@ -37,8 +37,7 @@ class Bench:
         self.lights = even_hemisphere(DEFAULT_CONFIG.directions().shape[0])
         every = torch.cat((self.inputs, self.targets, self.lights))
         dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), every)
-        images = torch.stack([dataset[index].images for index in tqdm(range(heads + people), desc="rendering heads")])
-        dataset.close()
+        images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
         self.bootstrap, self.strangers = images[:heads, 14:], images[heads:, :14]
         a, b = torch.rand(height * width, 64), torch.rand(64, 64)
         self.reference = lambda: a @ b

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.lights import angles_from_light
+from facerelight.lights import angle_pairs
 from facerelight.statistics import FaceStatistics, PixelStatistics
 from facerelight.training import rendered_statistics
 
@@ -52,7 +52,7 @@ def main() -> None:
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
     photos, valid = to_grid(faces)
-    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+    angles = angle_pairs(faces.lights)
     rendered = rendered_statistics(TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0))
     real = FaceStatistics.fit(photos, faces.lights, valid, rendered.options, face_rank=20)
     assert rendered.store is not None

@@ -28,8 +28,7 @@ def rendered(heads: int, people: int, height: int, width: int):
     """Images ``(N, J, H, W)`` of rendered heads and their lights; the first two are the source and the target."""
     lights = torch.cat((torch.stack((light_from_angles(70.0, 0.0), light_from_angles(0.0, 0.0))), even_hemisphere(62)))
     dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights)
-    images = torch.stack([dataset[index].images for index in tqdm(range(heads + people), desc="rendering heads")])
-    dataset.close()
+    images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
     return images, lights
 
 

@@ -16,13 +16,13 @@ from facerelight.bootstrap.dataset import load_yale
 from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
-from facerelight.lights import angles_from_light
+from facerelight.lights import angle_pairs
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
 def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Domain, options: FitOptions) -> TrainConfig:
     """Heads at the canonical crop under the very lights of the data, ``lights (J, 3)``."""
-    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(lights), strict=True)]
+    angles = angle_pairs(lights)
     return TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0, domain=domain, fit=options)
 
 

@@ -11,7 +11,7 @@ import torch
 from facerelight.bootstrap.dataset import FaceImages, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angles_from_light
+from facerelight.lights import angle_pairs
 from facerelight.statistics import FaceStatistics
 from facerelight.training import make_dataset
 
@@ -37,10 +37,9 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
-    angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+    angles = angle_pairs(faces.lights)
     dataset = make_dataset(TrainConfig(args.heads + args.people, lights=angles, height=args.height, width=args.width, margin=0.0))
-    images = torch.stack([dataset[index].images for index in range(len(dataset))])
-    dataset.close()
+    images = dataset.images()
     statistics = FaceStatistics.fit(images[: args.heads], faces.lights, None, face_rank=40, brightness=True)
     strangers = images[args.heads :].clamp(0, 1)
     count, lights = strangers.shape[:2]

@@ -28,7 +28,7 @@ MILLION = 1_000_000
 
 
 def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
-    """Median milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the rest of shading."""
+    """Mean milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the rest of shading."""
     torch.set_num_threads(1)
     dataset = make_dataset(config)
     dataset.surface(0)  # opens the renderer

@@ -20,7 +20,7 @@ from facerelight.bootstrap.dataset import FaceImages, load_yale
 from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angles_from_light
+from facerelight.lights import angle_pairs
 from facerelight.statistics import FaceStatistics
 from facerelight.training import make_dataset
 
@@ -40,10 +40,7 @@ def render(task: tuple[TrainConfig, int, int]) -> torch.Tensor:
     """Heads ``first`` to ``last`` of a config, ``(N, J, H, W)``."""
     config, first, last = task
     torch.set_num_threads(1)
-    dataset = make_dataset(config)
-    images = torch.stack([dataset[index].images for index in range(first, last)])
-    dataset.close()
-    return images
+    return make_dataset(config).images(range(first, last))
 
 
 class Search:
@@ -51,7 +48,7 @@ class Search:
 
     def __init__(self, faces: FaceImages, heads: int, height: int, width: int) -> None:
         self.faces = faces
-        angles = [(round(float(a), 3), round(float(e), 3)) for a, e in zip(*angles_from_light(faces.lights), strict=True)]
+        angles = angle_pairs(faces.lights)
         self.config = TrainConfig(heads, lights=angles, height=height, width=width, margin=0.0)
         self.pool = multiprocessing.get_context("spawn").Pool(2)
         self.error = cache(self._error)

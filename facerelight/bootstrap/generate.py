@@ -105,6 +105,12 @@ class BootstrapDataset(Dataset[RenderedHead]):
             stack = torch.nn.functional.avg_pool2d(stack[:, None], self.supersample)[:, 0]
         return RenderedHead(index, stack, work)
 
+    def images(self, indices: Iterable[int] | None = None) -> Tensor:
+        """Images ``(N, J, H, W)`` of the heads ``indices`` (default: all); the renderer is released."""
+        rendered = torch.stack([self[index].images for index in (range(self.count) if indices is None else indices)])
+        self.close()
+        return rendered
+
     def close(self) -> None:
         """Release the renderer."""
         if self._renderer is not None:

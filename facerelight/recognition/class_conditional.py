@@ -83,11 +83,10 @@ class GaussianClassifier(Classifier):
 
     def _scores(self, rows: Tensor) -> Tensor:
         """Log likelihood of ``rows (M, D)`` under each person, in nats a pixel, ``(M, C)``."""
-        count, size, width = self.bases.shape
-        rows, means = rows.double(), self.means.double()  # the noise divides a difference of large numbers
-        bases = self.bases.double().permute(1, 0, 2).reshape(size, count * width)
-        offset = torch.einsum("dsk,sd->sk", bases.view(size, count, width), means)
-        inside = ((rows @ bases).unflatten(1, (count, width)) - offset).square()  # (M, S, k)
+        size, width = self.bases.shape[1:]
+        rows, means, bases = rows.double(), self.means.double(), self.bases.double()  # the noise divides a difference of large numbers
+        offset = torch.einsum("sdk,sd->sk", bases, means)
+        inside = (torch.matmul(rows, bases).transpose(0, 1) - offset).square()  # (M, S, k)
         length = rows.square().sum(1, keepdim=True) - 2 * rows @ means.T + means.square().sum(1)
         outside = (length - inside.sum(-1)).clamp_min(0)
         floor = self.floor.double()
