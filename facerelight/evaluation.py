@@ -13,7 +13,6 @@ from torch import Tensor
 from facerelight.bootstrap.dataset import FaceImages, to_grid
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.lights import angular_distance
-from facerelight.posterior import Posterior
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 
@@ -117,7 +116,7 @@ def evaluate_folds(
     covariances: list[str],
     new_lights: bool = False,
     estimated: bool = False,
-    condition: Callable[[StatisticalRelighter, Tensor, Tensor | None], Posterior] | None = None,
+    register: bool = False,
 ) -> tuple[dict[str, dict[str, Scores]], dict[str, float]]:
     """Protocols **yale-relight** and **yale-relight-newlights**.
 
@@ -130,7 +129,7 @@ def evaluate_folds(
         covariances: models to score: "pixel", "face".
         new_lights: learn without the lights that are then asked for.
         estimated: estimate the input's light instead of taking its label.
-        condition: how to condition a relighter on ``(1, 1, H, W)`` and a light ``(1, 3)`` or None; default: its own method.
+        register: find where each face lies beside the model's.
 
     Returns:
         Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light estimation.
@@ -161,7 +160,7 @@ def evaluate_folds(
                     index = targets.nonzero()[:, 0]
                     given = None if estimated else faces.lights[source][None]
                     image = images[person, source][None, None]
-                    posterior = condition(relighter, image, given) if condition else relighter.condition(image, given)
+                    posterior = relighter.condition(image, given, register=register)
                     results = {covariance: posterior.mean(faces.lights[index])[0]}
                     if covariance == covariances[0]:
                         results |= baseline_images(mean, image[0, 0], source, index)

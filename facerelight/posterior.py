@@ -11,6 +11,7 @@ from facerelight import gaussian
 from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, narrow_terms, observed, prior_mean
 from facerelight.lights import unit_lights
 from facerelight.mixture import mixture_mode
+from facerelight.registration import undeform
 from facerelight.statistics import FaceStatistics
 
 __all__ = ["Components", "Posterior", "Relit"]
@@ -133,6 +134,14 @@ class PersonPosterior:
         self.n_map += share * torch.tensordot(code, face.n.flatten(2), 1)
         self.v_map += share * (face.basis.T @ torch.tensordot(code, face.v.flatten(2), 1))
 
+    def explained(self) -> Tensor:
+        """What the average face and the whole-face code make of the inputs, up to brightness, without any pixel's own deviation, ``(K, P)``."""
+        evidence = self.evidence[0]
+        image = prior_mean(self.statistics, evidence.terms.light)
+        if self.face is not None:
+            image = image + self.codes[0][0][:, 0].to(image) @ loadings_at(self.statistics, self.face, evidence.terms.light)
+        return image
+
     def mean(self, targets: Tensor) -> Tensor:
         """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input lights.
 
@@ -212,11 +221,15 @@ class PersonPosterior:
 
 
 class Posterior:
-    """Posteriors of a batch of B persons, ready to be rendered under as many lights as wanted."""
+    """Posteriors of a batch of B persons, ready to be rendered under as many lights as wanted.
 
-    def __init__(self, people: list[PersonPosterior], size: tuple[int, int]) -> None:
+    ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place.
+    """
+
+    def __init__(self, people: list[PersonPosterior], size: tuple[int, int], deformations: Tensor | None = None) -> None:
         self.people = people
         self.size = size
+        self.deformations = deformations
 
     def mean(self, target_lights: Tensor) -> Tensor:
         """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or ``(B, Q, 3)``."""
@@ -249,5 +262,9 @@ class Posterior:
             targets = targets.expand(len(self.people), -1, -1)
         if targets.dim() != 3 or len(targets) != len(self.people):
             raise ValueError(f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}")
-        images = [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
-        return torch.stack(images).unflatten(-1, self.size)
+        images = torch.stack([getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)])
+        images = images.unflatten(-1, self.size)
+        if self.deformations is None:
+            return images
+        images = torch.stack([undeform(person, theta) for person, theta in zip(images, self.deformations, strict=True)])
+        return images.clamp_min(0) if what == "variance" else images

@@ -8,9 +8,13 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from facerelight.covariance import prior_mean
 from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.lights import unit_lights
 from facerelight.mle import MaximumLikelihood
 from facerelight.posterior import PersonPosterior, Posterior, Relit
+from facerelight.registration import deform
+from facerelight.registration import register as find_deformation
 from facerelight.statistics import FaceStatistics
 
 __all__ = ["StatisticalRelighter"]
@@ -57,6 +61,7 @@ class StatisticalRelighter(nn.Module):
         draws: int = 32,
         generator: torch.Generator | None = None,
         mask: Tensor | None = None,
+        register: bool = False,
     ) -> Posterior:
         """The expensive half, once: what is known of each person after seeing the images.
 
@@ -68,6 +73,8 @@ class StatisticalRelighter(nn.Module):
             draws: samples of each unknown light (Algorithm 2).
             generator: makes the samples another set; by default they are the same at every call.
             mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity. None: everywhere.
+            register: find where each face lies beside the model's, and render it there; for statistics of real, aligned faces
+                (:func:`facerelight.registration.align_people`) and landmarks that are not exact.
 
         Raises:
             ValueError: shapes or values out of range.
@@ -94,11 +101,33 @@ class StatisticalRelighter(nn.Module):
                 raise ValueError(f"draws: expected at least 1, got {draws}")
             drawn = finder.sample(images, draws, generator, mask=mask)
             hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses)
+        deformations = None
+        if register:
+            found = [
+                self._registration(person, tried.mean(0), None if mask is None else mask[index])
+                for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
+            ]
+            images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
+            mask = None if mask is None else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
+            deformations = torch.stack(found)
         people = [
             PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
             for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
         ]
-        return Posterior(people, self.statistics.size)
+        return Posterior(people, self.statistics.size, deformations)
+
+    def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
+        """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""
+        seen = lights.square().sum(-1) > 0
+        if not seen.any():
+            return images.new_zeros(6)
+        images, lights = images[seen], unit_lights(lights[seen])
+        size = self.statistics.size
+        theta = find_deformation(images, prior_mean(self.statistics, lights).unflatten(-1, size), weight=mask)
+        if self.covariance == "pixel":
+            return theta
+        person = PersonPosterior(self.statistics, deform(images, theta), lights[None], "face", mask)
+        return find_deformation(images, person.explained().unflatten(-1, size), theta, mask)
 
     def forward(
         self,

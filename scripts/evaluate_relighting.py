@@ -17,6 +17,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.lights import angle_pairs
+from facerelight.registration import align_people
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
@@ -51,6 +52,9 @@ def main() -> int:
     parser.add_argument("--temper", type=float, default=100.0)
     parser.add_argument("--kernel-width", type=float, default=None, help="in light spacings; default: cross-validation")
     parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
+    parser.add_argument(
+        "--registration", choices=["affine", "none"], default=None, help="of people and inputs; default: affine, none with synthetic statistics"
+    )
     parser.add_argument("--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain")
     parser.add_argument("--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted")
     parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes")
@@ -73,7 +77,11 @@ def main() -> int:
 
     domains = iter(read_domains(args.domain, args.folds))
 
+    register = (args.registration or ("none" if args.statistics == "synthetic" else "affine")) == "affine"
+
     def make(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor) -> FaceStatistics:
+        if register and args.statistics != "synthetic":
+            images = align_people(images, lights, valid)
         if args.statistics == "real":
             statistics = FaceStatistics.fit(images, lights, valid, options)
         else:
@@ -92,7 +100,8 @@ def main() -> int:
         return statistics
 
     models = ["pixel", "face"] if args.covariance == "face" else ["pixel"]
-    scores, light_error = evaluate_folds(faces, args.folds, make, models, args.protocol.endswith("newlights"), args.source_light == "estimated")
+    new_lights, estimated = args.protocol.endswith("newlights"), args.source_light == "estimated"
+    scores, light_error = evaluate_folds(faces, args.folds, make, models, new_lights, estimated, register)
     report = {
         "protocol": args.protocol,
         "covariance": args.covariance,
@@ -100,6 +109,7 @@ def main() -> int:
         "adapted_to": args.adapt_people if args.statistics == "adapted" else 0,
         "source_light": args.source_light,
         "exposure": args.exposure,
+        "registration": "affine" if register else "none",
         "resolution": [args.height, args.width],
         "folds": args.folds,
         "kernel_width_deg": round(sum(widths) / len(widths), 2),
