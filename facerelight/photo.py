@@ -19,7 +19,7 @@ from facerelight.alignment import CropFrame, fit_similarity, warp_from_crop, war
 from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
 from facerelight.face_mask import face_mask
-from facerelight.illumination import fit_soft_light, quasi_normal
+from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
 from facerelight.landmarks import find_landmarks
 from facerelight.lights import angles_from_light, light_from_angles
 from facerelight.mle import MaximumLikelihood
@@ -153,7 +153,8 @@ class PhotoRelighter:
         if method == "expected":
             posterior = self.relighter.condition(images[None], lights, mask=mask[None])
             return posterior.mean, posterior.variance
-        spread = 0.1 * torch.eye(3) if self.relighter.estimator is None else self.relighter.estimator.error_factor
+        estimator = self.relighter.estimator
+        spread = estimator.error_factor if isinstance(estimator, KernelIlluminationEstimator) else 0.1 * torch.eye(3)
         noise = quasi_normal(LIGHT_DRAWS, 3 * len(lights)).view(LIGHT_DRAWS, -1, 3)
         seen = lights.square().sum(-1, keepdim=True) > 0
         drawn = torch.nn.functional.normalize(lights + noise @ spread.T, dim=-1) * seen

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from facerelight.covariance import prior_mean
 from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.light_likelihood import LikelihoodIlluminationEstimator
 from facerelight.lights import unit_lights
 from facerelight.mle import MaximumLikelihood
 from facerelight.posterior import PersonPosterior, Posterior, Relit
@@ -17,9 +18,10 @@ from facerelight.registration import deform
 from facerelight.registration import register as find_deformation
 from facerelight.statistics import FaceStatistics
 
-__all__ = ["StatisticalRelighter"]
+__all__ = ["LightEstimator", "StatisticalRelighter"]
 
 Covariance = Literal["pixel", "face"]
+LightEstimator = KernelIlluminationEstimator | LikelihoodIlluminationEstimator
 Method = Literal["expected", "map", "mle"]
 METHODS = ("expected", "map", "mle")
 
@@ -39,9 +41,7 @@ class StatisticalRelighter(nn.Module):
         torch.Size([1, 3, 8, 8])
     """
 
-    def __init__(
-        self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: KernelIlluminationEstimator | None = None
-    ) -> None:
+    def __init__(self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: LightEstimator | None = None) -> None:
         super().__init__()
         if covariance not in ("pixel", "face"):
             raise ValueError(f"covariance: expected 'pixel' or 'face', got {covariance!r}")
@@ -57,7 +57,7 @@ class StatisticalRelighter(nn.Module):
         self,
         images: Tensor,
         source_lights: Tensor | None = None,
-        estimator: KernelIlluminationEstimator | None = None,
+        estimator: LightEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
         mask: Tensor | None = None,
@@ -135,7 +135,7 @@ class StatisticalRelighter(nn.Module):
         target_lights: Tensor,
         source_lights: Tensor | None = None,
         method: Method = "expected",
-        estimator: KernelIlluminationEstimator | None = None,
+        estimator: LightEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
     ) -> Relit:
@@ -190,12 +190,15 @@ class StatisticalRelighter(nn.Module):
         return images.to(self.statistics.n_mean)
 
     def save_pretrained(self, folder: str | Path) -> None:
-        """Write ``statistics.safetensors`` and, where there is an estimator, ``estimator.safetensors`` into ``folder``."""
+        """Write ``statistics.safetensors`` and, where there is a kernel estimator, ``estimator.safetensors`` into ``folder``.
+
+        A likelihood estimator is made from the statistics and needs no file.
+        """
         from safetensors.torch import save_file
 
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        if self.estimator is not None:
+        if isinstance(self.estimator, KernelIlluminationEstimator):
             partial = folder / "estimator.safetensors.part"
             save_file({k: v.contiguous() for k, v in self.estimator.state_dict().items()}, partial)
             partial.replace(folder / "estimator.safetensors")

@@ -16,8 +16,10 @@ from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.light_likelihood import LikelihoodIlluminationEstimator
 from facerelight.recognition.evaluation import BASELINES, CLASSIFIERS, Tally, evaluate_gallery, training_lights
-from facerelight.relighter import StatisticalRelighter
+from facerelight.registration import align_people
+from facerelight.relighter import LightEstimator, StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 
 PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
@@ -25,8 +27,13 @@ PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
 
 def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args: argparse.Namespace) -> StatisticalRelighter:
     options = FitOptions(face_rank=18 if args.covariance == "face" else 0, brightness=True)
-    estimator = KernelIlluminationEstimator.fit(images, lights, valid)
-    return StatisticalRelighter(FaceStatistics.fit(images, lights, valid, options), args.covariance, estimator)
+    if args.registration == "affine":
+        images = align_people(images, lights, valid)
+    statistics = FaceStatistics.fit(images, lights, valid, options)
+    estimator: LightEstimator = KernelIlluminationEstimator.fit(images, lights, valid)
+    if args.estimator == "likelihood":
+        estimator = LikelihoodIlluminationEstimator(statistics)
+    return StatisticalRelighter(statistics, args.covariance, estimator)
 
 
 def rendered(args: argparse.Namespace) -> StatisticalRelighter:
@@ -34,7 +41,10 @@ def rendered(args: argparse.Namespace) -> StatisticalRelighter:
 
     fit = FitOptions(face_rank=40, brightness=True)
     config = TrainConfig(heads=args.heads, source=args.source, height=args.height, width=args.width, margin=0.0, fit=fit)
-    return StatisticalRelighter.from_pretrained(trained_folder(config), args.covariance)
+    relighter = StatisticalRelighter.from_pretrained(trained_folder(config), args.covariance)
+    if args.estimator == "likelihood":
+        relighter.estimator = LikelihoodIlluminationEstimator(relighter.statistics)
+    return relighter
 
 
 def as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:
@@ -57,8 +67,12 @@ def main() -> int:
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
     parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
-    parser.add_argument("--photometric", nargs="+", choices=["none", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
-    parser.add_argument("--exemplars", choices=["grid", "hemisphere", "cap"], default="cap")
+    parser.add_argument("--photometric", nargs="+", choices=["none", "unit", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
+    parser.add_argument("--exemplars", choices=["grid", "hemisphere", "dome", "cap"], default="dome")
+    parser.add_argument(
+        "--registration", choices=["affine", "none"], default="affine", help="of the people of real statistics, and of training images"
+    )
+    parser.add_argument("--estimator", choices=["likelihood", "kernel"], default="likelihood", help="of lights that are not labelled")
     parser.add_argument("--shift", type=int, default=0, help="pixels by which probes may lie off, tried by every classifier")
     parser.add_argument("--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)")
     parser.add_argument("--height", type=int, default=96)
@@ -92,7 +106,9 @@ def main() -> int:
             groups.append(([i for i in range(len(images)) if i % 4 == fold], learn(images[train], faces.lights, valid[train], args)))
     for people, relighter in groups:
         for gallery in training_lights(faces, people, args.train_light, draws):
-            found = evaluate_gallery(faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars, args.shift)
+            found = evaluate_gallery(
+                faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars, args.shift, args.registration == "affine"
+            )
             for name, tally in found.items():
                 tallies[name].append(tally)
 
@@ -114,6 +130,8 @@ def main() -> int:
         "source_light": args.source_light,
         "resolution": [args.height, args.width],
         "exemplars": args.exemplars,
+        "registration": args.registration,
+        "estimator": args.estimator,
         "shift": args.shift,
         "results": results,
     }

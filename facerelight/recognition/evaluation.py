@@ -89,8 +89,9 @@ def evaluate_gallery(
     relighter: StatisticalRelighter,
     classifiers: list[str],
     estimated: bool = False,
-    exemplars: str = "cap",
+    exemplars: str = "dome",
     shift: int = 0,
+    register: bool = False,
 ) -> dict[str, Tally]:
     """Fit every classifier to one gallery and count right answers over all other images of its people.
 
@@ -98,10 +99,11 @@ def evaluate_gallery(
         faces: the data.
         gallery: person to light of the training image.
         relighter: synthesises exemplars.
-        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs" or "+weber" where wanted, and of :data:`BASELINES`.
+        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs", "+weber" or "+unit" where wanted, and of :data:`BASELINES`.
         estimated: estimate the training images' lights instead of taking the labels.
         exemplars: lights to synthesise under, see :func:`exemplar_lights`.
         shift: pixels by which probes may lie off, for all classifiers.
+        register: find where each training image's face lies beside the model's before it is relit (and relit there).
     """
     images, valid = to_grid(faces)
     subset = torch.zeros(len(faces.lights), dtype=torch.long).index_copy_(0, faces.light, faces.subset)
@@ -115,7 +117,7 @@ def evaluate_gallery(
         parts.append(subset[others])
     stack = torch.cat(probes)
     given = None if estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
-    posterior = relighter.condition(training[:, None], given, draws=8)
+    posterior = relighter.condition(training[:, None], given, draws=8, register=register)
     lights, _ = exemplar_lights(exemplars)
     relit = synthesize(posterior, lights)
     rows = torch.cat((relit, training[:, None]), 1).flatten(0, 1)
@@ -166,12 +168,12 @@ def _fitted(name: str, data: _Gallery) -> Classifier:
 
 
 def _split_name(name: str) -> tuple[str, str | None]:
-    for suffix in ("tan_triggs", "weber"):
+    for suffix in ("tan_triggs", "weber", "unit"):
         if name.endswith("+" + suffix):
             name = name.removesuffix("+" + suffix)
             break
     else:
         suffix = ""
     if name not in CLASSIFIERS:
-        raise ValueError(f"classifier: expected one of {', '.join(CLASSIFIERS)} (+tan_triggs, +weber), got {name!r}")
+        raise ValueError(f"classifier: expected one of {', '.join(CLASSIFIERS)} (+tan_triggs, +weber, +unit), got {name!r}")
     return name, suffix or None

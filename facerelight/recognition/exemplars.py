@@ -12,12 +12,14 @@ from facerelight.recognition.subspaces import Subspace
 __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]
 
 
-def exemplar_lights(kind: str = "cap") -> tuple[Tensor, Tensor]:
+def exemplar_lights(kind: str = "dome") -> tuple[Tensor, Tensor]:
     """Lights ``(Q, 3)`` and weights ``(Q,)`` to synthesise under.
 
-    "grid": 30 x 30 angles of equal weight (6.3); "hemisphere": uniform, by quadrature (6.1); "cap": 60 even lights within 66 degrees of the
-    camera, where relit faces are not mostly shadow.
+    "grid": 30 x 30 angles of equal weight (6.3); "hemisphere": uniform, by quadrature (6.1); "dome": 80 even lights; "cap": 60 even lights
+    within 66 degrees of the camera, where relit faces are not mostly shadow.
     """
+    if kind == "dome":
+        return even_hemisphere(80), torch.full((80,), 1 / 80)
     if kind == "cap":
         lights = even_hemisphere(100)[:60]
         return lights, torch.full((60,), 1 / 60)
@@ -26,7 +28,7 @@ def exemplar_lights(kind: str = "cap") -> tuple[Tensor, Tensor]:
         return lights, torch.full((len(lights),), 1 / len(lights))
     if kind == "hemisphere":
         return hemisphere_quadrature(12)
-    raise ValueError(f"lights: expected 'grid', 'hemisphere' or 'cap', got {kind!r}")
+    raise ValueError(f"lights: expected 'grid', 'hemisphere', 'dome' or 'cap', got {kind!r}")
 
 
 def synthesize(posterior: Posterior, lights: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor, nn
 
-__all__ = ["TanTriggs", "WeberFaces", "make_normalizer"]
+__all__ = ["TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
 
 
 def _blur(images: Tensor, sigma: float) -> Tensor:
@@ -67,9 +67,17 @@ class WeberFaces(nn.Module):
         return contrast / torch.linalg.vector_norm(contrast, dim=(1, 2), keepdim=True).clamp_min(1e-12)
 
 
+class UnitLength(nn.Module):
+    """Takes away exposure alone: each image ``(M, H, W)`` is brought to unit length."""
+
+    def forward(self, images: Tensor) -> Tensor:
+        images = images.clamp_min(0)
+        return images / torch.linalg.vector_norm(images, dim=(1, 2), keepdim=True).clamp_min(1e-12)
+
+
 def make_normalizer(name: str | None) -> nn.Module:
-    """ "tan_triggs", "weber" or None (leave the images as they are)."""
-    choices = {None: nn.Identity, "none": nn.Identity, "tan_triggs": TanTriggs, "weber": WeberFaces}
+    """ "tan_triggs", "weber", "unit" or None (leave the images as they are)."""
+    choices = {None: nn.Identity, "none": nn.Identity, "tan_triggs": TanTriggs, "weber": WeberFaces, "unit": UnitLength}
     if name not in choices:
         raise ValueError(f"photometric: expected one of {[c for c in choices if c]}, got {name!r}")
     return choices[name]()

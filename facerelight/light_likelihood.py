@@ -1,0 +1,164 @@
+"""Where the light comes from, told by the model itself: the likelihood of an image over a grid of lights, tempered (4.4 taken further)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from facerelight import gaussian
+from facerelight.covariance import image_covariance, light_terms, loadings_at, prior_mean
+from facerelight.illumination import LightEstimate
+from facerelight.lights import angular_distance, even_hemisphere
+from facerelight.statistics import FaceStatistics
+
+__all__ = ["LikelihoodIlluminationEstimator"]
+
+TEMPERS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0)
+CODE_TEMPER = 100 / 8064  # of the whole-face code, an observed pixel: 100 at 96 x 84
+LEAST_GAIN = 1e-3
+REACH = 15.0  # degrees from the nearest bootstrap light
+
+
+class LikelihoodIlluminationEstimator(nn.Module):
+    """Posterior over a grid of lights from ``p(image | light)``, the whole-face code integrated out and the image's gain fitted.
+
+    It looks at every few pixels only. Pixels are not independent given the code, so the log likelihood is divided by ``temper``, which
+    :meth:`calibrate` chooses to make the true lights of other people most probable.
+
+    Args:
+        statistics: what the bootstrap taught.
+        count: lights of the grid to a hemisphere; those far from every bootstrap light are left out.
+        pixels: about how many pixels to look at.
+
+    Buffers: ``grid (R, 3)``; ``places (P,)`` of the pixels looked at; ``mean (R, P)``, ``std (R, P)`` and whitened ``loadings (R, P, k)`` of
+    the images under each light; ``factor (R, k, k)``, a Cholesky factor of the code's precision; ``temper ()``.
+
+    Example:
+        >>> lights = torch.nn.functional.normalize(torch.randn(6, 3) + torch.tensor([0, 0, 2.0]), dim=1)
+        >>> statistics = FaceStatistics.fit(torch.rand(5, 6, 24, 21), lights, rank=2, face_rank=2)
+        >>> LikelihoodIlluminationEstimator(statistics, count=30)(torch.rand(2, 1, 24, 21)).direction.shape
+        torch.Size([2, 1, 3])
+    """
+
+    grid: Tensor
+    places: Tensor
+    mean: Tensor
+    std: Tensor
+    loadings: Tensor
+    factor: Tensor
+    temper: Tensor
+
+    def __init__(self, statistics: FaceStatistics, count: int = 300, pixels: int = 700) -> None:
+        super().__init__()
+        height, width = statistics.size
+        stride = max(1, round((height * width / pixels) ** 0.5))
+        index = torch.arange(height * width).view(height, width)
+        places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
+        grid = _near_lights(even_hemisphere(count), statistics.lights)
+        pixel = statistics.pixel if statistics.face is None else statistics.face.residual
+        assert pixel is not None
+        means, stds, rows, factors = [], [], [], []
+        for light in grid.split(1):
+            terms = light_terms(statistics, pixel, light, statistics.face)
+            std = image_covariance(statistics, pixel, terms, terms)[places, 0, 0].sqrt()
+            means.append(prior_mean(statistics, light)[0, places])
+            stds.append(std.float())
+            if statistics.face is not None:
+                white = loadings_at(statistics, statistics.face, light)[0][:, places].T.double() / std[:, None]  # (P, k)
+                temper = max(1.0, CODE_TEMPER * len(places))
+                factors.append(gaussian.safe_cholesky(temper * torch.eye(white.shape[1], dtype=torch.float64) + white.T @ white))
+                rows.append(white.float())
+        self.register_buffer("grid", grid)
+        self.register_buffer("places", places)
+        self.register_buffer("mean", torch.stack(means))
+        self.register_buffer("std", torch.stack(stds))
+        self.register_buffer("loadings", torch.stack(rows) if rows else torch.zeros(len(grid), len(places), 0))
+        self.register_buffer("factor", torch.stack(factors) if factors else torch.zeros(len(grid), 0, 0, dtype=torch.float64))
+        self.register_buffer("temper", torch.tensor(16.0))
+
+    def spacing(self) -> float:
+        """Distance between neighbours in the grid, in radians."""
+        return float(torch.cdist(self.grid, self.grid).kthvalue(2, dim=1).values.median())
+
+    def log_likelihood(self, images: Tensor, mask: Tensor | None = None) -> Tensor:
+        """Of ``images (M, H, W)`` under every light of the grid, up to a constant, untempered, ``(M, R)`` float64.
+
+        Args:
+            images: linear radiance; their brightness does not matter.
+            mask: ``(M, H, W)``, 0 where they do not show the face.
+        """
+        seen = images.flatten(1)[:, self.places].to(self.mean)
+        weight = torch.ones_like(seen) if mask is None else mask.flatten(1)[:, self.places].to(seen)
+        rows = []
+        for image, kept in zip(seen, weight, strict=True):
+            root = kept.sqrt() / self.std
+            expected, white = self.mean * root, image * root  # (R, P)
+            gain = ((white * expected).sum(1) / expected.square().sum(1).clamp_min(1e-12)).clamp_min(LEAST_GAIN)
+            residual = white / gain[:, None] - expected
+            misfit = residual.double().square().sum(1)
+            if self.loadings.shape[2]:
+                pull = torch.einsum("rpk,rp->rk", self.loadings, residual * kept.sqrt()).double()
+                half = gaussian.solve_lower(self.factor, pull[..., None])[..., 0]
+                misfit = misfit - half.square().sum(1) + 2 * self.factor.diagonal(dim1=1, dim2=2).log().sum(1)
+            size = kept.double().sum()
+            rows.append(-0.5 * misfit - (kept * self.std.log()).double().sum(1) - size * gain.double().log())
+        return torch.stack(rows)
+
+    def posterior(self, images: Tensor, mask: Tensor | None = None) -> Tensor:
+        """Probability of every light of the grid, ``(M, R)`` float64; all alike for an image without any light."""
+        lit = images.flatten(1).abs().amax(1) > 1e-6
+        likelihood = self.log_likelihood(images, mask) * lit[:, None]
+        return torch.softmax(likelihood / self.temper.double(), 1)
+
+    def calibrate(self, images: Tensor, lights: Tensor, valid: Tensor | None = None) -> LikelihoodIlluminationEstimator:
+        """Choose ``temper`` so that the true ``lights (J, 3)`` of ``images (N, J, H, W)`` become most probable; people not learned from."""
+        there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
+        truth = lights.expand(len(images), -1, -1)[there]
+        likelihood = self.log_likelihood(images[there])
+        near = angular_distance(truth[:, None], self.grid[None]).argmin(1)
+        score = {t: float(torch.log_softmax(likelihood / t, 1).gather(1, near[:, None]).mean()) for t in TEMPERS}
+        self.temper.fill_(max(score, key=score.__getitem__))
+        return self
+
+    def forward(self, images: Tensor, mask: Tensor | None = None) -> LightEstimate:
+        """The mean direction of the posterior for each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show the face."""
+        if images.dim() != 4:
+            raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
+        flat = images.flatten(0, 1)
+        probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(images.shape[1], 0))
+        direction = torch.nn.functional.normalize(probability.to(self.grid) @ self.grid, dim=-1)
+        lit = flat.flatten(1).abs().amax(1) > 1e-6
+        return LightEstimate((direction * lit[:, None]).unflatten(0, images.shape[:2]).to(images))
+
+    def sample(
+        self,
+        images: Tensor,
+        count: int,
+        generator: torch.Generator | None = None,
+        independent: bool = False,
+        mask: Tensor | None = None,
+    ) -> Tensor:
+        """Draw ``count`` lights an image from the posterior, spread over the grid's cells, ``(B, count, K, 3)``.
+
+        Quasi-random by default: one point a ``1 / count`` of the probability; ``independent=True`` draws without that order.
+        """
+        people, inputs = images.shape[:2]
+        flat = images.flatten(0, 1)
+        probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(inputs, 0))
+        generator = generator or torch.Generator().manual_seed(0)
+        points = torch.rand(len(flat), count, generator=generator, dtype=torch.float64)
+        if not independent:  # stratified, in an order of its own for each input
+            order = torch.stack([torch.randperm(count, generator=generator) for _ in range(len(flat))])
+            points = (order + points) / count
+        chosen = torch.searchsorted(probability.cumsum(1), points).clamp_max(len(self.grid) - 1)
+        cell = self.spacing() / 2
+        noise = cell * torch.randn(len(flat), count, 3, generator=generator)
+        drawn = torch.nn.functional.normalize(self.grid[chosen] + noise.to(self.grid), dim=-1)
+        lit = (flat.flatten(1).abs().amax(1) > 1e-6)[:, None, None]
+        return (drawn * lit).unflatten(0, (people, inputs)).transpose(1, 2).to(images)
+
+
+def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:
+    """``hemisphere`` and its mirror image behind the face, as far as bootstrap ``lights`` come near."""
+    sphere = torch.cat((hemisphere, hemisphere * torch.tensor((1.0, 1.0, -1.0))))
+    return sphere[angular_distance(sphere[:, None], lights[None]).amin(1) < REACH]
