@@ -36,6 +36,7 @@ class TrainConfig:
         seed: of the heads and their paint.
         effects: "auto" simulates what each scene calls for, "all" everything; the images are the same.
         domain: the rendered world.
+        choose_rank: choose the whole-face rank and temper by cross-validation over the rendered people, instead of taking those of ``fit``.
         fit: how statistics are learned.
     """
 
@@ -48,6 +49,7 @@ class TrainConfig:
     supersample: int = 2
     seed: int = 0
     effects: Literal["auto", "all"] = "auto"
+    choose_rank: bool = False
     domain: Domain = field(default_factory=Domain)
     fit: FitOptions = field(default_factory=lambda: FitOptions(face_rank=40, brightness=True))
 

@@ -74,7 +74,7 @@ class LikelihoodIlluminationEstimator(nn.Module):
         self.register_buffer("std", torch.stack(stds))
         self.register_buffer("loadings", torch.stack(rows) if rows else torch.zeros(len(grid), len(places), 0))
         self.register_buffer("factor", torch.stack(factors) if factors else torch.zeros(len(grid), 0, 0, dtype=torch.float64))
-        self.register_buffer("temper", torch.tensor(16.0))
+        self.register_buffer("temper", torch.tensor(64.0))
 
     def spacing(self) -> float:
         """Distance between neighbours in the grid, in radians."""

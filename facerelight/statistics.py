@@ -369,4 +369,5 @@ class FaceStatistics(nn.Module):
             "kernel_width": float(torch.rad2deg(self.light_widths.median())),
             "rank": self.options.rank,
             "face_rank": 0 if self.face is None else len(self.face.n),
+            "temper": self.options.temper,
         }

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from facerelight.adaptation import adapt, read_people
 from facerelight.config import TrainConfig, default_statistics_folder
+from facerelight.cross_validation import choose_face_options
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
@@ -106,6 +107,10 @@ def train(
     if rank > 0:  # the first process solves: the images of all are files in one folder
         _wait(processes)
         return {"process": rank, "heads": len(todo), "render_seconds": round(rendered - started, 1)}
+    if config.choose_rank:
+        print("choosing rank and temper", file=sys.stderr)
+        every = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()])
+        statistics.options = choose_face_options(every, statistics.lights, options=config.fit).options
     print(f"solving statistics of {config.heads} heads", file=sys.stderr)
     statistics.solve()
     images = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()[:60]])

@@ -1,10 +1,11 @@
 """Mixed identity and calibration: what the whole-face model adds where the input is dark, and whether its variances are true.
 
-python scripts/evaluate_identity.py --json identity.json [--data yaleb_192x168.npz]
+python scripts/evaluate_identity.py --json identity.json [--data yaleb_192x168.npz] [--plot reliability.png]
 
 Input: one image lit from 70 degrees, its light known; output: the front (error, identity) and every light (calibration). On held-out rendered
 heads and, with --data, on Extended Yale B in four folds with real statistics. Identity: is the relit image nearest, among the test people's
-true frontal images, to its own (L2 after removing mean and scale)?
+true frontal images, to its own (L2 after removing mean and scale)? The plot is a reliability diagram: pixels sorted by predicted standard
+deviation, its mean against the root mean square error. Photographed people and inputs are registered; rendered heads are marked exactly.
 """
 
 import argparse
@@ -12,11 +13,13 @@ import json
 from pathlib import Path
 
 import torch
+from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.lights import angular_distance, even_hemisphere, light_from_angles
+from facerelight.registration import align_people
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 from facerelight.training import make_dataset
@@ -32,18 +35,20 @@ def rendered(heads: int, people: int, height: int, width: int):
     return images, lights
 
 
-def measure(statistics: FaceStatistics, people: torch.Tensor, valid: torch.Tensor, lights: torch.Tensor, source: int, target: int) -> dict:
+def measure(
+    statistics: FaceStatistics, people: torch.Tensor, valid: torch.Tensor, lights: torch.Tensor, source: int, target: int, register: bool
+) -> dict:
     """Sums over test people, by model: squared shadow errors, identities, and how many errors lie within each interval."""
     sums: dict = {}
     gallery = people[valid[:, target], target]
     names = valid[:, target].nonzero()[:, 0].tolist()
     for model in ("pixel", "face"):
         relighter = StatisticalRelighter(statistics, model)
-        total = {"shadow": [], "right": [], "inside": {name: [] for name in LEVELS}}
+        total = {"shadow": [], "right": [], "inside": {name: [] for name in LEVELS}, "spread": [], "error": []}
         for person in range(len(people)):
             if not (valid[person, source] and valid[person, target]):
                 continue
-            posterior = relighter.condition(people[person : person + 1, source : source + 1], lights[source : source + 1])
+            posterior = relighter.condition(people[person : person + 1, source : source + 1], lights[source : source + 1], register=register)
             made = posterior.mean(lights[target : target + 1])[0, 0]
             dark = people[person, source] < 20 / 255
             total["shadow"].append(float((made.clamp(0, 1) - people[person, target])[dark].square().mean().sqrt() * 255))
@@ -52,6 +57,8 @@ def measure(statistics: FaceStatistics, people: torch.Tensor, valid: torch.Tenso
             others = [j for j in valid[person].nonzero()[:, 0].tolist() if j != source][::4]
             error = (posterior.mean(lights[others])[0] - people[person, others]).abs()
             spread = posterior.variance(lights[others])[0].sqrt()
+            total["spread"].append(spread.flatten()[::7])
+            total["error"].append(error.flatten()[::7])
             for name, width in LEVELS.items():
                 total["inside"][name].append(float((error <= width * spread + 0.5 / 255).float().mean()))
         sums[model] = total
@@ -79,6 +86,28 @@ def summary(parts: list[dict]) -> dict:
     return report
 
 
+def reliability(parts: list[dict], model: str, bins: int = 20) -> tuple[torch.Tensor, torch.Tensor]:
+    """Predicted standard deviation and root mean square error of pixels, by twentieths of the predicted, in grey levels."""
+    spread, error = (torch.cat([x for part in parts for x in part[model][what]]) for what in ("spread", "error"))
+    order = spread.argsort()
+    groups = zip(spread[order].tensor_split(bins), error[order].tensor_split(bins), strict=True)
+    predicted, found = zip(*[(s.square().mean().sqrt(), e.square().mean().sqrt()) for s, e in groups], strict=True)
+    return 255 * torch.stack(predicted), 255 * torch.stack(found)
+
+
+def draw(curves: dict[str, tuple[torch.Tensor, torch.Tensor]], path: Path) -> None:
+    figure = Figure(figsize=(4.5, 4), layout="constrained")
+    axis = figure.subplots()
+    for index, (name, (predicted, found)) in enumerate(curves.items()):
+        axis.plot(predicted, found, ".-" if name.endswith("whole-face") else ".:", color=f"C{index // 2}", label=name)
+    limit = max(float(torch.cat(curve).max()) for curve in curves.values())
+    axis.plot((0, limit), (0, limit), "k", linewidth=0.6)
+    axis.set_xlabel("predicted standard deviation, grey levels")
+    axis.set_ylabel("root mean square error, grey levels")
+    axis.legend(fontsize=7)
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=None, help="yaleb_192x168.npz or a CroppedYale folder")
@@ -88,6 +117,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=84)
     parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--plot", type=Path, default=None, help="reliability diagram")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     unknown_gain = args.exposure == "estimated"
@@ -95,7 +125,7 @@ def main() -> None:
     learned = FaceStatistics.fit(images[: args.heads], lights, None, FitOptions(face_rank=40, brightness=unknown_gain))
     strangers = images[args.heads :]
     everything = torch.ones(strangers.shape[:2], dtype=torch.bool)
-    results = {"rendered": summary([measure(learned, strangers, everything, lights, 0, 1)])}
+    sums = {"rendered": [measure(learned, strangers, everything, lights, 0, 1, register=False)]}
     if args.data:
         faces = load_yale(args.data, args.height, args.width)
         images, valid = to_grid(faces)
@@ -105,9 +135,14 @@ def main() -> None:
         parts = []
         for fold in range(4):
             out = torch.arange(len(images)) % 4 == fold
-            learned = FaceStatistics.fit(images[~out], faces.lights, valid[~out], FitOptions(face_rank=18, brightness=unknown_gain))
-            parts.append(measure(learned, images[out], valid[out], faces.lights, source, target))
-        results["yale"] = summary(parts)
+            aligned = align_people(images[~out], faces.lights, valid[~out])
+            learned = FaceStatistics.fit(aligned, faces.lights, valid[~out], FitOptions(face_rank=18, brightness=unknown_gain))
+            parts.append(measure(learned, images[out], valid[out], faces.lights, source, target, register=True))
+        sums["yale"] = parts
+    if args.plot:
+        models = {"pixel": "per-pixel", "face": "whole-face"}
+        draw({f"{name}, {models[model]}": reliability(parts, model) for name, parts in sums.items() for model in models}, args.plot)
+    results = {name: summary(parts) for name, parts in sums.items()}
     print(json.dumps(results, indent=2))
     if args.json:
         args.json.write_text(json.dumps(results, indent=2))

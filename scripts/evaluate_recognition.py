@@ -12,17 +12,15 @@ from pathlib import Path
 
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
-from facerelight.bootstrap.dataset import FaceImages, load_pie, load_yale, to_grid
+from facerelight.alignment import CropFrame
+from facerelight.bootstrap.dataset import load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.recognition.evaluation import BASELINES, CLASSIFIERS, Tally, evaluate_gallery, training_lights
+from facerelight.recognition.evaluation import BASELINES, CLASSIFIERS, Tally, evaluate_gallery, pie_as_canonical, training_lights
 from facerelight.registration import align_people
 from facerelight.relighter import LightEstimator, StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
-
-PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
 
 
 def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args: argparse.Namespace) -> StatisticalRelighter:
@@ -45,13 +43,6 @@ def rendered(args: argparse.Namespace) -> StatisticalRelighter:
     if args.estimator == "likelihood":
         relighter.estimator = LikelihoodIlluminationEstimator(relighter.statistics)
     return relighter
-
-
-def as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:
-    """PIE's crops moved into the canonical one."""
-    matrix = fit_similarity(torch.tensor(PIE_LANDMARKS, dtype=torch.float64), frame.landmarks)
-    moved = warp_to_crop(faces.images[:, None], matrix.expand(len(faces.images), -1, -1), frame)[:, 0]
-    return faces._replace(images=moved)
 
 
 def main() -> int:
@@ -86,7 +77,7 @@ def main() -> int:
     draws = args.draws or (100 if pie else 20)
 
     frame = CropFrame(args.height, args.width)
-    faces = as_canonical(load_pie(args.data), frame) if pie else load_yale(args.data, args.height, args.width)
+    faces = pie_as_canonical(load_pie(args.data), frame) if pie else load_yale(args.data, args.height, args.width)
     if pie:
         if args.statistics == "real":
             if args.bootstrap_data is None:

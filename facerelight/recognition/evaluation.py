@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
+from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, to_grid
 from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
 from facerelight.recognition.class_conditional import GaussianClassifier
@@ -24,7 +24,9 @@ from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.relighter import StatisticalRelighter
 
-__all__ = ["BASELINES", "CLASSIFIERS", "Tally", "evaluate_gallery", "training_lights"]
+__all__ = ["BASELINES", "CLASSIFIERS", "Tally", "evaluate_gallery", "pie_as_canonical", "training_lights"]
+
+PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
 
 CLASSIFIERS = (
     "nearest_neighbor",
@@ -45,6 +47,13 @@ class Tally(NamedTuple):
     right: Tensor
     subset: Tensor
     seconds: float
+
+
+def pie_as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:
+    """CMU PIE's 55 x 44 crops moved into the canonical one, by the landmarks that they share."""
+    matrix = fit_similarity(torch.tensor(PIE_LANDMARKS, dtype=torch.float64), frame.landmarks)
+    moved = warp_to_crop(faces.images[:, None], matrix.expand(len(faces.images), -1, -1), frame)[:, 0]
+    return faces._replace(images=moved)
 
 
 def training_lights(faces: FaceImages, people: list[int], case: str, draws: int, seed: int = 0) -> Iterator[dict[int, int]]:
