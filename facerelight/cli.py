@@ -176,7 +176,7 @@ def _recognize(arguments: Namespace) -> int:
     else:
         gallery = Gallery.load(arguments.gallery, relighter)
     if arguments.reject is not None:
-        gallery.classifier.reject = -arguments.reject
+        gallery.classifier.threshold_ = -arguments.reject
     answers = {photo: gallery.identify(photo) for photo in arguments.photos}
     if arguments.json:
         print(json.dumps({"enrolled": gallery.classifier.classes_, "answers": {k: v._asdict() for k, v in answers.items()}}))

@@ -33,6 +33,7 @@ from facerelight.subjects import (
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 
+BLOCK_VALUES = 4_000_000  # images of all subjects in one block of pixels, 16 MB
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
 
@@ -51,7 +52,7 @@ class FitOptions:
         kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.
         nugget_width: width of the narrow kernel that makes the model exactly consistent, in spacings.
         floor: least standard deviation of v, in radiance; keeps pixels that never vary well-posed.
-        block: pixels solved at a time.
+        block: most pixels solved at a time; fewer where there are many heads, so that memory stays flat.
     """
 
     rank: int = 12
@@ -230,21 +231,22 @@ class FaceStatistics(nn.Module):
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
         height, width = next(iter(shapes))[1:]
-        grams = gather_grams(self.store, self.lights, self.options.block)
+        step = max(32, min(self.options.block, BLOCK_VALUES // (len(self.store) * len(self.lights))))
+        grams = gather_grams(self.store, self.lights, step)
         self._choose_widths(grams)
         fill = fill_operators(grams)
         brightness: Brightness | None = None
         gram = total_gram(grams, fill)
         if self.options.brightness:
-            brightness = measure_brightness(grams, fill)
+            brightness = measure_brightness(self.store, grams, fill, step)
             self.gain_spread, self.gain_noise = brightness.spread, brightness.noise
             gram = gram / torch.outer(brightness.gain, brightness.gain)
         operators = face_operators(gram, self.options.face_rank) if self.options.face_rank else None
         basis = self._light_basis(grams)
         pixels = height * width
         blocks = [
-            self._learn_block(self.store.block(start, min(start + self.options.block, pixels)), fill, brightness, operators, basis)
-            for start in range(0, pixels, self.options.block)
+            self._learn_block(self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis)
+            for start in range(0, pixels, step)
         ]
         maps = {name: torch.cat([block[name] for block in blocks], -1).unflatten(-1, (height, width)) for name in blocks[0]}
         self.n_mean, self.v_mean = maps["n_mean"], maps["v_mean"]

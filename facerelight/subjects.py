@@ -27,12 +27,14 @@ __all__ = [
     "measure_brightness",
 ]
 
+GROUPS = 160  # of subjects left out in turn; up to so many subjects, each is left out alone
+
 
 class Grams(NamedTuple):
     """Inner products over all pixels, float64.
 
-    ``subjects (J, N, N)`` of the images under each light (missing ones count as zero), ``missing (N, J)``, ``deviation (J, J)`` of the
-    fields v, summed over subjects, and ``deviation_spread (J, J)`` of v less its mean over subjects.
+    ``subjects (J, N, N)`` of the images under each light (missing ones count as zero), summed to ``(1, N, N)`` where none is missing;
+    ``missing (N, J)``; ``deviation (J, J)`` of the fields v, summed over subjects; ``deviation_spread (J, J)`` of v less its mean over subjects.
     """
 
     subjects: Tensor
@@ -65,14 +67,19 @@ def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
     missing = torch.stack([torch.from_numpy(array[:, 0, 0].copy()).isnan() for array in arrays])
     if missing.all(0).any():
         raise ValueError(f"images: expected every light to have one at least, got none for {int(missing.all(0).sum())} lights")
-    subjects = torch.zeros(light_count, count, count, dtype=torch.float64)
+    by_light = bool(missing.any())  # filling in needs every light's own; without it memory must not grow with J N^2
+    subjects = torch.zeros(light_count if by_light else 1, count, count, dtype=torch.float64)
     deviation = torch.zeros(light_count, light_count, dtype=torch.float64)
     mean_part = torch.zeros_like(deviation)
     off_lambert = (torch.eye(light_count, dtype=torch.float64) - lights.double() @ torch.linalg.pinv(lights.double())).float()
     present = (~missing).float()
     for start in range(0, pixels, block):
         images = store.block(start, min(start + block, pixels)).nan_to_num(0.0)
-        subjects += torch.einsum("njp,mjp->jnm", images, images).double()
+        if by_light:
+            subjects += torch.einsum("njp,mjp->jnm", images, images).double()
+        else:
+            rows = images.flatten(1)
+            subjects[0] += (rows @ rows.T).double()
         mean = images.sum(0) / present.sum(0)[:, None]
         filled = torch.where(missing[..., None], mean, images) if missing.any() else images
         v = off_lambert @ filled
@@ -132,43 +139,46 @@ def total_gram(grams: Grams, fill: dict[int, Tensor]) -> Tensor:
     return total
 
 
-def measure_brightness(grams: Grams, fill: dict[int, Tensor]) -> Brightness:
-    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells."""
+def measure_brightness(store: ImageStore, grams: Grams, fill: dict[int, Tensor], block: int) -> Brightness:
+    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells; one more pass."""
     total = total_gram(grams, fill)
     gain = torch.ones(len(total), dtype=torch.float64)
     for _ in range(5):
         average = total @ (1 / gain)  # inner products with N times the average face
         gain = average / ((1 / gain) @ average) * len(gain)
         gain = gain / gain.log().mean().exp()
-    noise = []
-    for light, inner in enumerate(grams.subjects):
-        operator = fill.get(light)
-        scaled = (inner if operator is None else operator @ inner @ operator.T) / torch.outer(gain, gain)
-        noise.append((scaled.mean(1) / scaled.mean()).clamp_min(1e-3).log().std())
-    return Brightness(gain.float(), gain.log().std().clamp_min(1e-3).float(), torch.stack(noise).clamp_min(1e-3).float())
+    pixels = store.arrays()[0][0].size
+    read = torch.zeros(len(gain), grams.missing.shape[1], dtype=torch.float64)  # inner products with the average face, by light
+    for start in range(0, pixels, block):
+        images = fill_missing(store.block(start, min(start + block, pixels)), fill) / gain.float()[:, None, None]
+        read += torch.einsum("njp,jp->nj", images, images.mean(0)).double()
+    noise = (read / read.mean(0)).clamp_min(1e-3).log().std(0)
+    return Brightness(gain.float(), gain.log().std().clamp_min(1e-3).float(), noise.clamp_min(1e-3).float())
 
 
 def face_operators(gram: Tensor, rank: int) -> FaceOperators:
     """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects.
 
-    Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out: its residual is what
-    the others' components leave of it, and each loading is scaled by the spread of the left-out subjects' scores. At rank 0 the residual
-    is exactly the per-pixel model's centred field.
+    Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out (in a large bootstrap
+    each of ``GROUPS`` groups): its residual is what the others' components leave of it, and each loading is scaled by the spread of the
+    left-out subjects' scores. At rank 0 the residual is exactly the per-pixel model's centred field.
     """
     count = len(gram)
-    rank = min(rank, count - 2)
+    groups = [torch.arange(first, count, GROUPS) for first in range(min(count, GROUPS))]
+    fewest = count - len(groups[0])  # learned from when a group is left out
+    rank = min(rank, fewest - 1)
     residual = torch.empty(count, count, dtype=torch.float64)
     scores = torch.empty(count, rank, dtype=torch.float64)
-    for subject in range(count):
-        left_out = torch.zeros(count, dtype=torch.float64)
-        left_out[subject] = 1
-        mean = (1 - left_out) / (count - 1)
+    for group in groups:
+        others = torch.ones(count, dtype=torch.float64)
+        others[group] = 0
+        mean = others / others.sum()
         components, values = _components(gram, mean, rank)
-        offset = left_out - mean
-        score = components @ gram @ offset
-        residual[subject] = offset - score @ components
-        scores[subject] = score / (values / (count - 2)).sqrt()
-    shrink = (count - 1) / count  # makes rank 0 the sample variance with N - 1 degrees of freedom
+        offset = torch.eye(count, dtype=torch.float64)[group] - mean
+        score = offset @ gram @ components.T
+        residual[group] = offset - score @ components
+        scores[group] = score / (values / (others.sum() - 1)).sqrt()
+    shrink = fewest / (fewest + 1)  # makes rank 0 the sample variance with N - 1 degrees of freedom
     mean = torch.full((count,), 1 / count, dtype=torch.float64)
     components, values = _components(gram, mean, rank)
     scale = scores.square().mean(0) * shrink

@@ -1,165 +1,377 @@
-"""What accuracy costs in time: every knob of relighting against error on held-out rendered heads, as a CSV, a table and a plot.
+"""What accuracy costs in time: every knob of the package against error on held-out people, as CSV files, tables and a plot.
 
-python scripts/accuracy_vs_time.py --output trade_off/          (about five minutes on two cores; --quick for a smoke test)
+python scripts/accuracy_vs_time.py --output trade_off/ [--data yaleb_192x168.npz]        (about half an hour on two cores; --quick: a smoke test)
 
-Each row changes one knob of the default model. Error: RMSE in grey levels over held-out people, inputs lit from the front and from 70
-degrees, twelve output lights. Time: median of paired runs of condition and render, as a ratio to one product of a (96 x 84, 64) with a
-(64, 64) matrix in the same process, so that it carries to another machine. Memory: bytes of the statistics' buffers.
+Each row changes one knob off the default. Error: RMSE in grey levels over held-out rendered heads (and, with --data, seven people of Extended
+Yale B, statistics of the other 21), inputs lit from the front and from 70 degrees, twelve output lights; *distance* is the RMSE between the
+row's images and those of the converged reference (rank 80, 48 functions over the lights, all heads). Time: median of paired runs for one image
+and twelve lights, as a ratio to one product of an (8064, 64) with a (64, 64) matrix in the same process, so that it carries to another machine.
+Memory: what the process needs on top while it relights, and the statistics' buffers.
 """
 
 import argparse
 import csv
 import statistics
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
+from trade_off_parts import peak_memory_mb, poses, recognition, rendering
 
+from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import DEFAULT_CONFIG, TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import even_hemisphere, light_from_angles
+from facerelight.light_likelihood import LikelihoodIlluminationEstimator
+from facerelight.lights import angular_distance, even_hemisphere, light_from_angles
+from facerelight.mixture import draw_mixture, histogram_mode
+from facerelight.regions import GroupRelighter, make_regions, random_groups
+from facerelight.registration import align_people
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 from facerelight.training import make_dataset
+from facerelight.views import LightViews
 
-FIELDS = ["knob", "value", "default", "rmse_front", "rmse_side", "milliseconds", "ratio", "megabytes"]
+FIELDS = [
+    "knob",
+    "value",
+    "default",
+    "rmse_front",
+    "rmse_side",
+    "distance",
+    "yale_front",
+    "yale_side",
+    "milliseconds",
+    "ratio",
+    "peak_mb",
+    "statistics_mb",
+]
+SOURCES = torch.stack((light_from_angles(0.0, 0.0), light_from_angles(70.0, 0.0)))
+MORE_INPUTS = (5, 17, 40)  # further lights, for rows with several inputs
+
+Relight = Callable[[torch.Tensor, int], torch.Tensor]  # all images of a person (J, H, W) and the source's index -> targets (Q, H, W)
+Maker = Callable[["World"], tuple[Relight, FaceStatistics]]
+
+
+class World:
+    """People under J lights: a bootstrap and strangers; which lights are the sources and which the targets."""
+
+    def __init__(self, images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, strangers: torch.Tensor, there: torch.Tensor) -> None:
+        self.images, self.lights, self.valid, self.strangers, self.there = images, lights, valid, strangers, there
+        self.sources = [int(angular_distance(lights, source.expand_as(lights)).argmin()) for source in SOURCES]
+        wanted = even_hemisphere(12)
+        self.targets = torch.tensor([int(angular_distance(lights, target.expand_as(lights)).argmin()) for target in wanted])
+
+    def fit(self, options: FitOptions, heads: int | None = None, every: int = 1) -> FaceStatistics:
+        return FaceStatistics.fit(self.images[:heads, ::every], self.lights[::every], self.valid[:heads, ::every], options)
+
+    def relit(self, relight: Relight, people: int | None = None) -> list[list[torch.Tensor]]:
+        """By source and person, ``(12, H, W)``."""
+        return [[relight(person, source) for person in self.strangers[:people]] for source in self.sources]
+
+    def errors(self, made: list[list[torch.Tensor]]) -> list[float]:
+        """Mean RMSE in grey levels for each source."""
+        result = []
+        for source, images in zip(self.sources, made, strict=True):
+            found = []
+            for image, person, there in zip(images, self.strangers, self.there, strict=False):
+                kept = there[self.targets] & (self.targets != source)
+                if there[source]:
+                    found.append(rmse(image[kept], person[self.targets[kept]]))
+            result.append(statistics.mean(found))
+        return result
+
+
+def rmse(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float((a.clamp(0, 1) - b.clamp(0, 1)).square().mean((1, 2)).sqrt().mean() * 255)
+
+
+def rendered_world(heads: int, people: int, height: int, width: int) -> World:
+    lights = torch.cat((SOURCES, even_hemisphere(12)[1:], even_hemisphere(DEFAULT_CONFIG.directions().shape[0])[1:]))
+    dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights)
+    images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
+    there = torch.ones(images.shape[:2], dtype=torch.bool)
+    return World(images[:heads], lights, there[:heads], images[heads:], there[heads:])
+
+
+def yale_world(path: Path, height: int, width: int) -> World:
+    faces = load_yale(path, height, width)
+    images, valid = to_grid(faces)
+    out = torch.arange(len(images)) % 4 == 0
+    aligned = align_people(images[~out], faces.lights, valid[~out])
+    return World(aligned, faces.lights, valid[~out], images[out], valid[out])
 
 
 class Bench:
-    """Rendered people, split into bootstrap and strangers, and the reference operation."""
+    """The worlds, the reference operation and images, and the rows so far."""
 
-    def __init__(self, heads: int, people: int, height: int, width: int) -> None:
-        self.inputs = torch.stack((light_from_angles(0.0, 0.0), light_from_angles(70.0, 0.0)))
-        self.targets = even_hemisphere(12)
-        self.lights = even_hemisphere(DEFAULT_CONFIG.directions().shape[0])
-        every = torch.cat((self.inputs, self.targets, self.lights))
-        dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), every)
-        images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
-        self.bootstrap, self.strangers = images[:heads, 14:], images[heads:, :14]
-        a, b = torch.rand(height * width, 64), torch.rand(64, 64)
-        self.reference = lambda: a @ b
+    def __init__(self, worlds: dict[str, World], repeats: int) -> None:
+        self.worlds, self.repeats = worlds, repeats
+        pixels = worlds["heads"].images[0, 0].numel()
+        a, b = torch.rand(pixels, 64), torch.rand(64, 64)
+        self.product = lambda: a @ b
+        self.rows: list[dict] = []
+        heads = worlds["heads"]
+        reference, _ = by_model(replace(DEFAULT_CONFIG.fit, face_rank=80, basis=48))(heads)
+        self.reference = heads.relit(reference)
 
-    def fit(self, options: FitOptions, heads: int | None = None, every: int = 1) -> FaceStatistics:
-        return FaceStatistics.fit(self.bootstrap[:heads, ::every], self.lights[::every], options=options)
+    def add(self, knob: str, value: object, default: bool, make: Maker, people: int | None = None, yale: bool = True) -> None:
+        """Measure one setting."""
+        heads = self.worlds["heads"]
+        relight, learned = make(heads)
+        made = heads.relit(relight, people)
+        errors = heads.errors(made)
+        distance = statistics.mean(rmse(a, b) for x, y in zip(made, self.reference, strict=True) for a, b in zip(x, y, strict=False))
+        person, times = heads.strangers[0], []
+        for _ in range(self.repeats):
+            started = time.perf_counter()
+            relight(person, heads.sources[1])
+            middle = time.perf_counter()
+            for _ in range(20):
+                self.product()
+            times.append((middle - started, (time.perf_counter() - middle) / 20))
+        row = dict.fromkeys(FIELDS, "") | {
+            "knob": knob,
+            "value": value,
+            "default": "yes" if default else "",
+            "rmse_front": round(errors[0], 2),
+            "rmse_side": round(errors[1], 2),
+            "distance": round(distance, 2),
+            "milliseconds": round(1e3 * statistics.median(t for t, _ in times), 1),
+            "ratio": round(statistics.median(t / r for t, r in times), 1),
+            "peak_mb": round(peak_memory_mb(lambda: relight(person, heads.sources[1])), 1),
+            "statistics_mb": round(sum(buffer.numel() * buffer.element_size() for buffer in learned.buffers()) / 1e6, 1),
+        }
+        if yale and "yale" in self.worlds:
+            world = self.worlds["yale"]
+            front, side = world.errors(world.relit(make(world)[0], people))
+            row |= {"yale_front": round(front, 2), "yale_side": round(side, 2)}
+        self.rows.append(row)
+        print(row, flush=True)
 
-    def row(self, knob: str, value: object, default: bool, learned: FaceStatistics, model: str, repeats: int, **options) -> dict:
-        """Error and time of one setting."""
-        dtype = options.pop("dtype", torch.float32)
-        variance, known = options.pop("variance", False), "draws" not in options
-        relighter = StatisticalRelighter(learned, model, options.pop("estimator", None)).to(dtype)
-        people, targets = self.strangers.to(dtype), self.targets.to(dtype)
 
-        def relight(person: torch.Tensor, k: int) -> torch.Tensor:
-            posterior = relighter.condition(person[None, k : k + 1], self.inputs[k : k + 1].to(dtype) if known else None, **options)
+def by_model(
+    options: FitOptions,
+    model: str = "face",
+    heads: int | None = None,
+    every: int = 1,
+    dtype: torch.dtype = torch.float32,
+    inputs: int = 1,
+    variance: bool = False,
+    method: str = "expected",
+) -> Maker:
+    """Relighting with known lights."""
+
+    def make(world: World) -> tuple[Relight, FaceStatistics]:
+        learned = world.fit(options, heads, every)
+        relighter = StatisticalRelighter(learned, model).to(dtype)
+        targets = world.lights[world.targets].to(dtype)
+
+        def relight(person: torch.Tensor, source: int) -> torch.Tensor:
+            chosen = [source, *MORE_INPUTS[: inputs - 1]]
+            images, lights = person[chosen][None].to(dtype), world.lights[chosen].to(dtype)
+            if method == "mle":
+                return relighter(images, targets, lights, "mle").mean[0]
+            posterior = relighter.condition(images, lights)
             if variance:
                 posterior.variance(targets)
             return posterior.mean(targets)[0]
 
-        errors = [
-            [float((relight(p, k).clamp(0, 1) - p[2:].clamp(0, 1)).square().mean((1, 2)).sqrt().mean() * 255) for p in people] for k in (0, 1)
-        ]
-        times = []
-        for _ in range(repeats):
-            started = time.perf_counter()
-            relight(people[0], 1)
-            middle = time.perf_counter()
-            for _ in range(20):
-                self.reference()
-            times.append((middle - started, (time.perf_counter() - middle) / 20))
-        size = sum(buffer.numel() * buffer.element_size() for buffer in learned.buffers())
-        row = {
-            "knob": knob,
-            "value": value,
-            "default": "yes" if default else "",
-            "rmse_front": round(statistics.mean(errors[0]), 2),
-            "rmse_side": round(statistics.mean(errors[1]), 2),
-            "milliseconds": round(1e3 * statistics.median(t for t, _ in times), 1),
-            "ratio": round(statistics.median(t / r for t, r in times), 1),
-            "megabytes": round(size / 1e6, 1),
-        }
-        print(row, flush=True)
-        return row
+        return relight, learned
+
+    return make
 
 
-def measure(bench: Bench, quick: bool) -> list[dict]:
-    repeats = 3 if quick else 7
+def by_estimate(finder: str, draws: int, how: str = "mean", independent: bool = False, people: int = 60) -> Maker:
+    """Relighting with unknown lights; ``how``: "mean", "exact" mode or the thesis's "histogram" mode."""
+
+    def make(world: World) -> tuple[Relight, FaceStatistics]:
+        learned = world.fit(DEFAULT_CONFIG.fit)
+        if finder == "kernel":
+            estimator = KernelIlluminationEstimator.fit(world.images[:people], world.lights, world.valid[:people])
+        else:
+            estimator = LikelihoodIlluminationEstimator(learned)
+        relighter = StatisticalRelighter(learned, "face", estimator)
+        targets = world.lights[world.targets]
+
+        def relight(person: torch.Tensor, source: int) -> torch.Tensor:
+            image = person[None, source : source + 1]
+            generator = torch.Generator().manual_seed(0)
+            posterior = relighter.condition(image, estimator.sample(image, draws, generator, independent))
+            if how == "mean":
+                return posterior.mean(targets)[0]
+            if how == "exact":
+                return posterior.mode(targets)[0]
+            parts = [posterior.people[0].components(target) for target in targets]
+            modes = [histogram_mode(draw_mixture(part.mean, part.variance, 32, generator)) for part in parts]
+            return torch.stack(modes).unflatten(1, image.shape[2:]).float()
+
+        return relight, learned
+
+    return make
+
+
+def by_groups(size: int) -> Maker:
+    """Random groups of pixels (5.1)."""
+
+    def make(world: World) -> tuple[Relight, FaceStatistics]:
+        learned = world.fit(replace(DEFAULT_CONFIG.fit, face_rank=0, rank=2, brightness=False))
+        pixels = world.images[0, 0].numel()
+        groups = random_groups(pixels, size, torch.Generator().manual_seed(0))
+        relighter = GroupRelighter(LightViews(learned), make_regions(groups))
+
+        def relight(person: torch.Tensor, source: int) -> torch.Tensor:
+            image, light = person[None, source : source + 1], world.lights[source : source + 1]
+            return torch.stack([relighter(image, light, target).mean[0] for target in world.lights[world.targets]])
+
+        return relight, learned
+
+    return make
+
+
+def by_resolution(scale: float) -> Maker:
+    """The model at a coarser resolution, its images enlarged to the full one."""
+
+    def make(world: World) -> tuple[Relight, FaceStatistics]:
+        size = world.images.shape[2:]
+        small = (round(size[0] * scale), round(size[1] * scale))
+        coarse = torch.nn.functional.interpolate(world.images, small, mode="area")
+        learned = FaceStatistics.fit(
+            coarse, world.lights, world.valid, replace(DEFAULT_CONFIG.fit, temper=max(1.0, DEFAULT_CONFIG.fit.temper * scale**2))
+        )
+        relighter = StatisticalRelighter(learned, "face")
+
+        def relight(person: torch.Tensor, source: int) -> torch.Tensor:
+            image = torch.nn.functional.interpolate(person[None, source : source + 1], small, mode="area")
+            made = relighter.condition(image, world.lights[source : source + 1]).mean(world.lights[world.targets])
+            return torch.nn.functional.interpolate(made, size, mode="bicubic", antialias=False)[0]
+
+        return relight, learned
+
+    return make
+
+
+def relighting(bench: Bench, quick: bool) -> None:
     default = DEFAULT_CONFIG.fit
-    learned = bench.fit(default)
-    rows = []
-
-    def add(knob: str, value: object, is_default: bool, learned: FaceStatistics = learned, model: str = "face", **options) -> None:
-        rows.append(bench.row(knob, value, is_default, learned, model, repeats, **options))
-
-    add("model", "whole-face", True)
-    add("model", "per-pixel", False, model="pixel")
-    add("variance", "with the means", False, variance=True)
+    bench.add("model", "whole-face", True, by_model(default))
+    bench.add("model", "per-pixel", False, by_model(default, "pixel"))
+    bench.add("variance", "with the means", False, by_model(default, variance=True))
     if quick:
-        return rows
+        return
+    heads = len(bench.worlds["heads"].images)
     for rank in (5, 10, 20, 40, 80):
-        add("whole-face rank", rank, rank == default.face_rank, bench.fit(replace(default, face_rank=rank)))
+        bench.add("whole-face rank", rank, rank == default.face_rank, by_model(replace(default, face_rank=rank)), yale=rank <= 20)
     for rank in (4, 8, 12, 24):
-        add("correlation rank", rank, rank == default.rank, bench.fit(replace(default, rank=rank)))
+        bench.add("correlation rank", rank, rank == default.rank, by_model(replace(default, rank=rank)))
     for basis in (8, 16, 24, 48):
-        add("functions over lights", basis, basis == default.basis, bench.fit(replace(default, basis=basis)))
+        bench.add("functions over lights", basis, basis == default.basis, by_model(replace(default, basis=basis)))
     for temper in (1.0, 10.0, 100.0, 1000.0):
-        add("temper", temper, temper == default.temper, bench.fit(replace(default, temper=temper)))
-    for heads in (20, 40, 80, len(bench.bootstrap)):
-        add("heads", heads, heads == DEFAULT_CONFIG.heads, bench.fit(default, heads))
+        bench.add("temper", temper, temper == default.temper, by_model(replace(default, temper=temper)))
+    for count in (20, 40, 80, heads):
+        bench.add("heads", count, count == DEFAULT_CONFIG.heads, by_model(default, heads=count), yale=False)
     for every in (4, 2, 1):
-        add("lights", len(bench.lights[::every]), every == 1, bench.fit(default, None, every))
-    add("unknown gain", "no", False, bench.fit(replace(default, brightness=False)))
-    add("dtype", "float64", False, bench.fit(default), dtype=torch.float64)
-    estimator = KernelIlluminationEstimator.fit(bench.bootstrap[:60], bench.lights)
-    learned = bench.fit(default)
+        bench.add("lights", -(-len(bench.worlds["heads"].lights) // every), every == 1, by_model(default, every=every), yale=False)
+    for scale in (0.25, 0.5, 0.75, 1.0):
+        bench.add("resolution", f"{scale:g} of 96 x 84", False, by_resolution(scale))
+    bench.add("unknown gain", "yes", True, by_model(default))
+    bench.add("unknown gain", "no", False, by_model(replace(default, brightness=False)))
+    bench.add("dtype", "float32", True, by_model(default))
+    bench.add("dtype", "float64", False, by_model(default, dtype=torch.float64), yale=False)
+    for inputs in (1, 2, 4):
+        bench.add("input images", inputs, inputs == 1, by_model(default, inputs=inputs), yale=False)
+    bench.add("input images", "4, MLE (fixed n)", False, by_model(default, "pixel", inputs=4, method="mle"), yale=False)
+    for size in (1, 5, 30):
+        bench.add("pixels a group", size, False, by_groups(size), people=4, yale=False)
+    for people in (10, 60):
+        bench.add(
+            "light unknown",
+            f"kernel, {people * len(bench.worlds['heads'].lights):,} prototypes",
+            False,
+            by_estimate("kernel", 8, people=people),
+            yale=False,
+        )
     for draws in (1, 8, 32, 128):
-        add("light unknown, draws", draws, draws == 32, learned, estimator=estimator, draws=draws)
-    return rows
+        bench.add("light unknown", f"likelihood, {draws} draws", draws == 32, by_estimate("likelihood", draws), people=4, yale=draws == 8)
+    bench.add("light unknown", "likelihood, 32 independent draws", False, by_estimate("likelihood", 32, independent=True), people=4, yale=False)
+    bench.add("light unknown", "most probable image, exact, 32 draws", False, by_estimate("likelihood", 32, "exact"), people=2, yale=False)
+    bench.add(
+        "light unknown", "most probable image, histogram, 32 draws", False, by_estimate("likelihood", 32, "histogram"), people=2, yale=False
+    )
 
 
-def write(rows: list[dict], folder: Path) -> None:
-    """The CSV, the Markdown table and the plot with its Pareto frontier."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "trade_off.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS)
-        writer.writeheader()
-        writer.writerows(rows)
-    lines = ["| knob | value | RMSE front | RMSE side | ms | ratio | MB |", "|---|---|---|---|---|---|---|"]
+def table(rows: list[dict]) -> str:
+    """Markdown; the default's value in bold."""
+    fields = [field for field in rows[0] if field != "default"]
+    lines = ["| " + " | ".join(field.replace("_", " ") for field in fields) + " |", "|" + "---|" * len(fields)]
     for row in rows:
-        value = f"**{row['value']}**" if row["default"] else row["value"]
-        cells = (row["rmse_front"], row["rmse_side"], row["milliseconds"], row["ratio"], row["megabytes"])
-        lines.append(f"| {row['knob']} | {value} | " + " | ".join(str(cell) for cell in cells) + " |")
-    (folder / "trade_off.md").write_text("\n".join(lines) + "\n")
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axis = figure.subplots()
+        shown = {**row, "value": f"**{row['value']}**" if row["default"] else row["value"]}
+        lines.append("| " + " | ".join(str(shown[field]) for field in fields) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def plot(axis, rows: list[dict], error: str, cost: str, labels: tuple[str, str]) -> None:  # type: ignore[no-untyped-def]
+    """Error against cost, a line a knob, with the Pareto frontier and the defaults."""
     for index, knob in enumerate(dict.fromkeys(row["knob"] for row in rows)):
         points = [row for row in rows if row["knob"] == knob]
-        axis.plot([p["milliseconds"] for p in points], [p["rmse_side"] for p in points], ".-", color=f"C{index % 10}", label=knob, linewidth=0.7)
+        axis.plot([p[cost] for p in points], [p[error] for p in points], ".-", color=f"C{index % 10}", label=knob, linewidth=0.7)
     best, frontier = float("inf"), []
-    for row in sorted(rows, key=lambda row: row["milliseconds"]):
-        if row["rmse_side"] < best:
-            best = row["rmse_side"]
+    for row in sorted(rows, key=lambda row: (row[cost], row[error])):
+        if row[error] < best:
+            best = row[error]
             frontier.append(row)
-    axis.step([f["milliseconds"] for f in frontier], [f["rmse_side"] for f in frontier], "k", where="post", linewidth=0.8, label="frontier")
-    chosen = rows[0]
-    axis.plot(chosen["milliseconds"], chosen["rmse_side"], "k*", markersize=12, label="default")
+    axis.step([f[cost] for f in frontier], [f[error] for f in frontier], "k", where="post", linewidth=0.8, label="frontier")
+    axis.plot(rows[0][cost], rows[0][error], "k*", markersize=12, label="default")
     axis.set_xscale("log")
-    axis.set_xlabel("milliseconds to condition on one image and render twelve lights")
-    axis.set_ylabel("RMSE, input lit from 70 degrees, grey levels")
+    axis.set_xlabel(labels[0])
+    axis.set_ylabel(labels[1])
     axis.legend(fontsize=6, ncols=2)
-    figure.savefig(folder / "trade_off.png")
+
+
+def write(tables: dict[str, list[dict]], folder: Path) -> None:
+    """A CSV and a Markdown table each, and the plot."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, rows in tables.items():
+        with (folder / f"{name}.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+        (folder / f"{name}.md").write_text(table(rows))
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    one_input = [row for row in tables["relighting"] if row["knob"] != "input images"]
+    plot(
+        left, one_input, "rmse_side", "milliseconds", ("milliseconds for one image and twelve lights", "RMSE from a side-lit input, grey levels")
+    )
+    plot(right, tables["recognition"], "error", "enrol_ms", ("milliseconds to enrol a person", "rank-1 errors, percent"))
+    figure.savefig(folder / "trade_off.png", dpi=110)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--data", type=Path, default=None, help="yaleb_192x168.npz or a CroppedYale folder")
     parser.add_argument("--quick", action="store_true")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
-    bench = Bench(10, 2, 24, 21) if args.quick else Bench(160, 10, 96, 84)
-    write(measure(bench, args.quick), args.output)
+    height, width = (24, 21) if args.quick else (96, 84)
+    worlds = {"heads": rendered_world(10, 2, height, width) if args.quick else rendered_world(160, 30, height, width)}
+    gallery = worlds["heads"].strangers
+    worlds["heads"].strangers = gallery[:10]
+    if args.data:
+        worlds["yale"] = yale_world(args.data, height, width)
+    bench = Bench(worlds, 3 if args.quick else 7)
+    relighting(bench, args.quick)
+    heads = worlds["heads"]
+    tables = {
+        "relighting": bench.rows,
+        "recognition": recognition(heads.fit(DEFAULT_CONFIG.fit), gallery, heads.lights, heads.targets, args.quick),
+        "rendering": rendering(2 if args.quick else 3, 4 if args.quick else 20),
+        "poses": poses(args.quick),
+    }
+    write(tables, args.output)
 
 
 if __name__ == "__main__":

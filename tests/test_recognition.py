@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 import torch
@@ -253,3 +255,44 @@ def test_sface_features_tell_crops_apart() -> None:
     features = SFaceFeatures(CropFrame(96, 84))(crops)
     assert features.shape == (3, 1, 128)
     assert NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(96, 84))).fit(crops, [0, 1, 2]).score(crops, [0, 1, 2]) == 1.0
+
+
+@pytest.mark.parametrize(
+    "make", [IndividualPCAClassifier, GlobalPCAClassifier, NearestNeighborClassifier, functools.partial(GaussianClassifier, 2, 2, 1e-3)]
+)
+def test_fit_finds_the_threshold_for_strangers(make) -> None:
+    """Known people's new images pass, images of people who were not enrolled do not, each with few exceptions."""
+    images, labels = blobs(6)
+    known = [i for i, label in enumerate(labels) if label < 3]
+    strangers = [i for i, label in enumerate(labels) if label >= 3]
+    classifier = make(reject="fit").fit(images[known][::2], [labels[i] for i in known][::2])
+    assert classifier.threshold_ is not None
+    accepted = [answer is not None for answer in classifier.predict(images[known][1::2])]
+    turned_away = [answer is None for answer in classifier.predict(images[strangers])]
+    assert sum(accepted) / len(accepted) >= 0.8
+    assert sum(turned_away) / len(turned_away) >= 0.8
+
+
+def test_a_threshold_needs_exemplars_to_hold_out() -> None:
+    images, labels = blobs(6)
+    with pytest.raises(ValueError, match="4 exemplars"):
+        IndividualPCAClassifier(1, reject="fit").fit(images[:2], [0, 1])
+    with pytest.raises(ValueError, match="'fit'"):
+        IndividualPCAClassifier(1, reject="auto")
+    assert IndividualPCAClassifier(1).fit(images, labels).threshold_ is None
+
+
+def test_k_nearest_neighbours_vote_as_in_scikit_learn() -> None:
+    neighbours = pytest.importorskip("sklearn.neighbors")
+    generator = torch.Generator().manual_seed(4)
+    images, labels = torch.rand(60, 6, 5, generator=generator), [i % 3 for i in range(60)]
+    probes = torch.rand(200, 6, 5, generator=generator)
+    for k in (1, 3, 7):
+        ours = NearestNeighborClassifier(neighbors=k).fit(images, labels).predict(probes)
+        theirs = neighbours.KNeighborsClassifier(k).fit(images.flatten(1).numpy(), labels)
+        votes = theirs.predict_proba(probes.flatten(1).numpy())
+        clear = [i for i, row in enumerate(votes) if (row == row.max()).sum() == 1]  # scikit-learn breaks ties by label, we by distance
+        assert len(clear) > 100
+        assert [ours[i] for i in clear] == [int(votes[i].argmax()) for i in clear]
+    with pytest.raises(ValueError, match="neighbors"):
+        NearestNeighborClassifier(neighbors=0)

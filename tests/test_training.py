@@ -35,11 +35,16 @@ def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
     command = [sys.executable, str(script), "--quick", "--output", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
-    rows = list(csv.DictReader((tmp_path / "trade_off.csv").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "relighting.csv").read_text().splitlines()))
     assert {row["knob"] for row in rows} == {"model", "variance"}
     assert all(float(row["milliseconds"]) > 0 and 0 < float(row["rmse_side"]) < 100 for row in rows)
     assert (tmp_path / "trade_off.png").stat().st_size > 1000
-    assert "**whole-face**" in (tmp_path / "trade_off.md").read_text()
+    assert "**whole-face**" in (tmp_path / "relighting.md").read_text()
+    recognition = list(csv.DictReader((tmp_path / "recognition.csv").read_text().splitlines()))
+    assert [row["value"] for row in recognition] == ["80", "direct, no synthesis"]
+    effects = {row["value"]: row for row in csv.DictReader((tmp_path / "rendering.csv").read_text().splitlines())}
+    assert float(effects["auto"]["rmse"]) < 1e-3
+    assert "on demand, whole-face" in (tmp_path / "poses.md").read_text()
 
 
 @pytest.mark.parametrize("quality", list(QUALITIES))

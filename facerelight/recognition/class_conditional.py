@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from facerelight.recognition.classifiers import Classifier
+from facerelight.recognition.classifiers import Classifier, Reject
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
 __all__ = ["GaussianClassifier"]
@@ -24,7 +24,7 @@ class GaussianClassifier(Classifier):
         dimension: directions of each component that vary beyond the noise.
         noise: variance of a pixel beyond the exemplars' own, in units of their mean square, for what they do not know of photographs.
         normalizer, shift: see :class:`Classifier`.
-        reject: least score that is not a stranger, in nats a pixel; see :meth:`Classifier.calibrate`.
+        reject: least score that is not a stranger, in nats a pixel; "fit" finds it; see :class:`Classifier`.
 
     Buffers: ``means (S, D)``, ``bases (S, D, k)``, ``spread (S, k)``, ``floor (S,)``, ``log_weight (S,)`` and ``owner (S,)`` of the S
     components of all people.
@@ -49,7 +49,7 @@ class GaussianClassifier(Classifier):
         dimension: int = 9,
         noise: float = 8.0,
         normalizer: nn.Module | None = None,
-        reject: float | None = None,
+        reject: Reject = None,
         shift: int = 0,
     ) -> None:
         super().__init__(normalizer, reject, shift)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Self
+from typing import Literal, Self
 
 import torch
 from torch import Tensor, nn
 
 from facerelight.recognition.subspaces import Subspace, principal_subspace
+
+Reject = float | Literal["fit"] | None
 
 __all__ = ["Classifier", "GlobalPCAClassifier", "IndividualPCAClassifier", "NearestNeighborClassifier", "SumClassifier"]
 
@@ -18,24 +20,45 @@ class Classifier(nn.Module):
 
     Args:
         normalizer: photometric normalisation of exemplars and probes alike.
-        reject: least score that is not a stranger.
+        reject: least score that is not a stranger; "fit": :meth:`fit` finds it, where held-out exemplars are turned away as often as other
+            people's are let in.
         shift: a probe may lie off by so many pixels to every side: it is compared at all of them, every other pixel apart, and its best
             score for each person counts.
     """
 
-    def __init__(self, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0) -> None:
+    def __init__(self, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0) -> None:
         super().__init__()
         if shift < 0:
             raise ValueError(f"shift: expected at least 0 pixels, got {shift}")
+        if isinstance(reject, str) and reject != "fit":
+            raise ValueError(f"reject: expected a score, 'fit' or None, got {reject!r}")
         self.normalizer = normalizer or nn.Identity()
         self.reject, self.shift = reject, shift
         self.classes_: list[Hashable] | None = None
+        self.threshold_: float | None = None if reject == "fit" else reject
 
     def fit(self, exemplars: Tensor, labels: Sequence[Hashable]) -> Self:
         """Learn from ``exemplars (M, H, W)`` with one label each; fitting again starts afresh."""
         rows, index = self._prepare(exemplars, labels)
+        if self.reject == "fit":
+            self.threshold_ = self._equal_error_threshold(rows, index)
         self._learn(rows, index)
         return self
+
+    def _equal_error_threshold(self, rows: Tensor, index: Tensor) -> float:
+        """Learn from every other exemplar of each person; the rest, and their best scores for other people, say where strangers begin."""
+        place = torch.stack([(index[: i + 1] == person).sum() for i, person in enumerate(index)])  # 1, 2, ... within each person
+        held_out = place % 2 == 0
+        if int(index.bincount().min()) < 4 or int(index.max()) < 1:
+            raise ValueError("reject='fit': expected 4 exemplars or more of each of 2 people or more; give a score, or call calibrate()")
+        self._learn(rows[~held_out], index[~held_out])
+        scores, own = self._scores(rows[held_out]), index[held_out][:, None]
+        genuine = scores.gather(1, own)[:, 0]
+        others = scores.scatter(1, own, -torch.inf).amax(1)
+        values = torch.cat((genuine, others)).sort().values
+        between = (values[1:] + values[:-1]) / 2
+        gap = ((genuine[:, None] < between).float().mean(0) - (others[:, None] >= between).float().mean(0)).abs()
+        return float(between[gap == gap.min()].median())
 
     def _prepare(self, exemplars: Tensor, labels: Sequence[Hashable]) -> tuple[Tensor, Tensor]:
         if exemplars.dim() != 3 or len(exemplars) == 0:
@@ -72,11 +95,11 @@ class Classifier(nn.Module):
         return torch.stack(scores).amax(0)
 
     def predict(self, images: Tensor) -> list[Hashable | None]:
-        """The label of each image; None where the best score lies below the ``reject`` threshold."""
+        """The label of each image; None where the best score lies below ``threshold_``."""
         scores = self.decision_function(images)
         assert self.classes_ is not None
         best = scores.max(1)
-        known = best.values >= (-torch.inf if self.reject is None else self.reject)
+        known = best.values >= (-torch.inf if self.threshold_ is None else self.threshold_)
         return [self.classes_[i] if ok else None for i, ok in zip(best.indices.tolist(), known.tolist(), strict=True)]
 
     def score(self, images: Tensor, labels: Sequence[Hashable]) -> float:
@@ -85,9 +108,9 @@ class Classifier(nn.Module):
         return sum(right) / max(len(right), 1)
 
     def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
-        """Set ``reject`` so that this share of ``images``, new ones of enrolled people, is turned away."""
+        """Set ``threshold_`` so that this share of ``images``, new ones of enrolled people, is turned away."""
         best = self.decision_function(images).max(1).values
-        self.reject = float(best.quantile(false_rejections))
+        self.threshold_ = float(best.quantile(false_rejections))
         return self
 
 
@@ -135,9 +158,10 @@ class SumClassifier(Classifier):
 
 
 class NearestNeighborClassifier(Classifier):
-    """The label of the nearest exemplar.
+    """The label of the nearest exemplar, or that of most of the nearest.
 
     Args:
+        neighbors: how many vote; the nearest decides between people with as many votes.
         metric: "l2"; "cosine"; or "l0", the semi-norm of 6.1: how many pixels of a 16 x 16 thumbnail differ by more than ``threshold``.
         threshold: of "l0", in the images' units.
         normalizer, reject, shift: see :class:`Classifier`.
@@ -147,9 +171,18 @@ class NearestNeighborClassifier(Classifier):
     index: Tensor
 
     def __init__(
-        self, metric: str = "l2", threshold: float = 0.05, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
+        self,
+        metric: str = "l2",
+        threshold: float = 0.05,
+        normalizer: nn.Module | None = None,
+        reject: Reject = None,
+        shift: int = 0,
+        neighbors: int = 1,
     ) -> None:
         super().__init__(normalizer, reject, shift)
+        if neighbors < 1:
+            raise ValueError(f"neighbors: expected at least 1, got {neighbors}")
+        self.neighbors = neighbors
         if metric not in ("l2", "cosine", "l0"):
             raise ValueError(f"metric: expected 'l2', 'cosine' or 'l0', got {metric!r}")
         self.metric, self.threshold = metric, threshold
@@ -172,7 +205,12 @@ class NearestNeighborClassifier(Classifier):
             near = -torch.cdist(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
         assert self.classes_ is not None
         scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
-        return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
+        scores = scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
+        if self.neighbors == 1:
+            return scores
+        nearest = near.topk(min(self.neighbors, near.shape[1]), dim=1).indices
+        votes = torch.zeros_like(scores).scatter_add_(1, self.index[nearest], torch.ones(nearest.shape))
+        return votes + 1 / (2 - scores)  # less than one vote, more for the nearer
 
 
 class GlobalPCAClassifier(Classifier):
@@ -190,7 +228,7 @@ class GlobalPCAClassifier(Classifier):
     index: Tensor
 
     def __init__(
-        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
+        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0
     ) -> None:
         super().__init__(normalizer, reject, shift)
         self.dimension, self.error = dimension, error
@@ -237,7 +275,7 @@ class IndividualPCAClassifier(Classifier):
     dimensions: Tensor
 
     def __init__(
-        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: float | None = None, shift: int = 0
+        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0
     ) -> None:
         super().__init__(normalizer, reject, shift)
         if dimension is not None and dimension < 0:

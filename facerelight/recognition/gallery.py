@@ -86,7 +86,7 @@ class Gallery:
             "names": state.classes_,
             "photometric": self.photometric,
             "dimension": self.dimension,
-            "reject": state.reject,
+            "reject": state.threshold_,
         }
         partial = path.with_name(path.name + ".part")
         save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
@@ -107,7 +107,7 @@ class Gallery:
             gallery = cls(relighter, header["photometric"], header["dimension"])
             state = gallery.classifier
             means, bases, sizes = (tensors[name] for name in ("means", "bases", "dimensions"))
-            state.reject = header["reject"]
+            state.threshold_ = header["reject"]
             height, width = relighter.statistics.size
             people, pixels = len(header["names"]), height * width
             fits = bases.dim() == 3 and bases.shape[:2] == means.shape == (people, pixels) and len(sizes) == people
