@@ -16,7 +16,7 @@ from facerelight.statistics import FaceStatistics
 
 __all__ = ["Components", "Posterior", "Relit"]
 
-NEAR = 1e-5  # kernel values below this move a pixel by less than that, full scale being 1
+NEAR = 1e-3  # kernel values below this move a pixel by less than a tenth of a grey level
 PIXELS_AT_ONCE = 1024
 
 
@@ -150,10 +150,14 @@ class PersonPosterior:
         weights = self.statistics.weights(targets)
         mixed, maps = torch.cat((weights, targets), 1), torch.cat((self.v_map, self.n_map))
         near = [self._near(targets, evidence) for evidence in self.evidence]
-        image = torch.empty(len(targets), maps.shape[1], dtype=maps.dtype, device=maps.device)
-        for start in range(0, maps.shape[1], PIXELS_AT_ONCE):
-            here = slice(start, start + PIXELS_AT_ONCE)
-            block = (weights @ self.v_variance[:, here]).sqrt_().mul_(weights @ self.pull[:, here]).addmm_(mixed, maps[:, here])
+        count, pixels = len(targets), maps.shape[1]
+        image = maps.new_empty(count, pixels)
+        scratch = maps.new_empty(2, count * min(pixels, PIXELS_AT_ONCE))  # fresh memory for every block would cost as much as the products
+        for start in range(0, pixels, PIXELS_AT_ONCE):
+            here = slice(start, min(start + PIXELS_AT_ONCE, pixels))
+            block, pull = (buffer[: count * (here.stop - start)].view(count, -1) for buffer in scratch)
+            torch.mm(weights, self.v_variance[:, here], out=block).sqrt_()
+            block.mul_(torch.mm(weights, self.pull[:, here], out=pull)).addmm_(mixed, maps[:, here])
             for evidence, (rows, kernel) in zip(self.evidence, near, strict=True):
                 if len(rows):
                     block[rows] += self._narrow(targets[rows], kernel, evidence, here)
