@@ -116,7 +116,7 @@ def adapt(
     posterior_mean = (prior_heads * rendered_mean + count * mean) / (prior_heads + count)
     move = ((heads + count) * posterior_mean - count * mean) / heads - rendered_mean  # so that all of them together have that mean
     adapted = FaceStatistics(statistics.lights, statistics.options)
-    for array in statistics.store.arrays():
+    for array in statistics.store:
         images = torch.from_numpy(array.copy())
         adapted.update(images + _gain(images, rendered_mean) * move, ~images[:, 0, 0].isnan())
     for images in completed:

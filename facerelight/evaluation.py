@@ -11,7 +11,7 @@ from kornia.metrics import ssim
 from torch import Tensor
 
 from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.illumination import KernelIlluminationEstimator
+from facerelight.light_likelihood import LikelihoodIlluminationEstimator
 from facerelight.lights import angular_distance
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
@@ -142,7 +142,7 @@ def evaluate_folds(
     angles: list[Tensor] = []
     for train, test in _split(len(images), folds):
         statistics = make(images[train][:, ~held_out], faces.lights[~held_out], valid[train][:, ~held_out])
-        estimator = KernelIlluminationEstimator.fit(images[train][:, ~held_out], faces.lights[~held_out], valid[train][:, ~held_out])
+        estimator = LikelihoodIlluminationEstimator(statistics)
         mean = (images[train] * valid[train][..., None, None]).sum(0) / valid[train].sum(0).clamp_min(1)[:, None, None]
         for person in test:
             for kept in valid[person].nonzero()[:, 0]:

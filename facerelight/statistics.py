@@ -33,7 +33,7 @@ from facerelight.subjects import (
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 
-BLOCK_VALUES = 4_000_000  # images of all subjects in one block of pixels, 16 MB
+BLOCK_VALUES = 1_000_000  # images of all subjects in one block of pixels, 4 MB
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
 
@@ -219,7 +219,7 @@ class FaceStatistics(nn.Module):
             raise RuntimeError("merge: expected statistics that still keep their images; loaded ones do not")
         if self.lights.shape != other.lights.shape or not torch.allclose(self.lights, other.lights, atol=1e-5):
             raise ValueError(f"merge: expected the same lights, got {len(self.lights)} and {len(other.lights)} that differ")
-        for array in other.store.arrays():
+        for array in other.store:
             self.store.add(torch.from_numpy(array.copy()))
         return self
 
@@ -227,7 +227,7 @@ class FaceStatistics(nn.Module):
         """Learn every statistic from the subjects added so far."""
         if self.store is None or len(self.store) < 2:
             raise ValueError(f"statistics: expected at least 2 subjects, got {0 if self.store is None else len(self.store)}")
-        shapes = {array.shape for array in self.store.arrays()}
+        shapes = {array.shape for array in self.store}
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
         height, width = next(iter(shapes))[1:]

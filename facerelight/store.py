@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -64,13 +65,22 @@ class ImageStore:
         finally:
             partial.unlink(missing_ok=True)
 
-    def arrays(self) -> list[np.ndarray]:
-        """Every subject's images, memory-mapped where they are files."""
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Every subject's images ``(J, H, W)``, one after the other; memory-mapped where they are files, and then to be let go."""
         if self.folder is None:
-            return list(self._images)
-        return [np.load(path, mmap_mode="r") for path in self._paths()]
+            yield from self._images
+        else:
+            for path in self._paths():
+                yield np.load(path, mmap_mode="r")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """``(J, H, W)`` of the first subject."""
+        return next(iter(self)).shape
 
     def block(self, start: int, stop: int) -> Tensor:
         """Pixels ``start:stop`` (row-major) of all subjects, ``(N, J, stop - start)``."""
-        rows = [array.reshape(array.shape[0], -1)[:, start:stop] for array in self.arrays()]
-        return torch.from_numpy(np.stack(rows))
+        rows = torch.empty(len(self), self.shape[0], stop - start)
+        for row, array in zip(rows, self, strict=True):
+            row.numpy()[:] = array.reshape(len(array), -1)[:, start:stop]
+        return rows

@@ -6,6 +6,7 @@ applied to blocks of pixels as *subject operators*.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -61,10 +62,9 @@ class FaceOperators(NamedTuple):
 
 def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
     """One pass over the images of ``store``, block by block."""
-    arrays = store.arrays()
-    pixels = arrays[0][0].size
-    count, light_count = len(arrays), len(lights)
-    missing = torch.stack([torch.from_numpy(array[:, 0, 0].copy()).isnan() for array in arrays])
+    pixels = math.prod(store.shape[1:])
+    count, light_count = len(store), len(lights)
+    missing = torch.stack([torch.from_numpy(array[:, 0, 0].copy()).isnan() for array in store])
     if missing.all(0).any():
         raise ValueError(f"images: expected every light to have one at least, got none for {int(missing.all(0).sum())} lights")
     by_light = bool(missing.any())  # filling in needs every light's own; without it memory must not grow with J N^2
@@ -147,7 +147,7 @@ def measure_brightness(store: ImageStore, grams: Grams, fill: dict[int, Tensor],
         average = total @ (1 / gain)  # inner products with N times the average face
         gain = average / ((1 / gain) @ average) * len(gain)
         gain = gain / gain.log().mean().exp()
-    pixels = store.arrays()[0][0].size
+    pixels = math.prod(store.shape[1:])
     read = torch.zeros(len(gain), grams.missing.shape[1], dtype=torch.float64)  # inner products with the average face, by light
     for start in range(0, pixels, block):
         images = fill_missing(store.block(start, min(start + block, pixels)), fill) / gain.float()[:, None, None]

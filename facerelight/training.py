@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -109,11 +110,11 @@ def train(
         return {"process": rank, "heads": len(todo), "render_seconds": round(rendered - started, 1)}
     if config.choose_rank:
         print("choosing rank and temper", file=sys.stderr)
-        every = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()])
+        every = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store])
         statistics.options = choose_face_options(every, statistics.lights, options=config.fit).options
     print(f"solving statistics of {config.heads} heads", file=sys.stderr)
     statistics.solve()
-    images = torch.stack([torch.from_numpy(array.copy()) for array in statistics.store.arrays()[:60]])
+    images = torch.stack([torch.from_numpy(array.copy()) for array in islice(statistics.store, 60)])
     inside = ((1 - config.frame.oval()) / 0.1).clamp(0, 1)
     estimator = KernelIlluminationEstimator.fit(images, statistics.lights, weight=inside)
     if people:

@@ -57,9 +57,18 @@ Maker = Callable[["World"], tuple[Relight, FaceStatistics]]
 
 
 class World:
-    """People under J lights: a bootstrap and strangers; which lights are the sources and which the targets."""
+    """People under J lights: a bootstrap and strangers; which lights are the sources and the targets; whether faces need registration."""
 
-    def __init__(self, images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, strangers: torch.Tensor, there: torch.Tensor) -> None:
+    def __init__(
+        self,
+        images: torch.Tensor,
+        lights: torch.Tensor,
+        valid: torch.Tensor,
+        strangers: torch.Tensor,
+        there: torch.Tensor,
+        register: bool = False,
+    ) -> None:
+        self.register = register
         self.images, self.lights, self.valid, self.strangers, self.there = images, lights, valid, strangers, there
         self.sources = [int(angular_distance(lights, source.expand_as(lights)).argmin()) for source in SOURCES]
         wanted = even_hemisphere(12)
@@ -102,7 +111,7 @@ def yale_world(path: Path, height: int, width: int) -> World:
     images, valid = to_grid(faces)
     out = torch.arange(len(images)) % 4 == 0
     aligned = align_people(images[~out], faces.lights, valid[~out])
-    return World(aligned, faces.lights, valid[~out], images[out], valid[out])
+    return World(aligned, faces.lights, valid[~out], images[out], valid[out], register=True)
 
 
 class Bench:
@@ -175,7 +184,7 @@ def by_model(
             images, lights = person[chosen][None].to(dtype), world.lights[chosen].to(dtype)
             if method == "mle":
                 return relighter(images, targets, lights, "mle").mean[0]
-            posterior = relighter.condition(images, lights)
+            posterior = relighter.condition(images, lights, register=world.register)
             if variance:
                 posterior.variance(targets)
             return posterior.mean(targets)[0]
@@ -200,7 +209,7 @@ def by_estimate(finder: str, draws: int, how: str = "mean", independent: bool = 
         def relight(person: torch.Tensor, source: int) -> torch.Tensor:
             image = person[None, source : source + 1]
             generator = torch.Generator().manual_seed(0)
-            posterior = relighter.condition(image, estimator.sample(image, draws, generator, independent))
+            posterior = relighter.condition(image, estimator.sample(image, draws, generator, independent), register=world.register)
             if how == "mean":
                 return posterior.mean(targets)[0]
             if how == "exact":
@@ -246,7 +255,8 @@ def by_resolution(scale: float) -> Maker:
 
         def relight(person: torch.Tensor, source: int) -> torch.Tensor:
             image = torch.nn.functional.interpolate(person[None, source : source + 1], small, mode="area")
-            made = relighter.condition(image, world.lights[source : source + 1]).mean(world.lights[world.targets])
+            made = relighter.condition(image, world.lights[source : source + 1], register=world.register)
+            made = made.mean(world.lights[world.targets])
             return torch.nn.functional.interpolate(made, size, mode="bicubic", antialias=False)[0]
 
         return relight, learned

@@ -57,7 +57,7 @@ def main() -> None:
     real = FaceStatistics.fit(photos, faces.lights, valid, rendered.options, face_rank=20)
     assert rendered.store is not None
     frontal = int(faces.lights[:, 2].argmax())
-    heads = torch.stack([torch.from_numpy(array[frontal].copy()) for array in rendered.store.arrays()])
+    heads = torch.stack([torch.from_numpy(array[frontal].copy()) for array in rendered.store])
     people = photos[valid[:, frontal], frontal]
 
     albedo = [statistics.n_mean.norm(dim=0) for statistics in (real, rendered)]

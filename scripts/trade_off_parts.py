@@ -1,5 +1,6 @@
 """Parts of accuracy_vs_time.py: memory, and the rows on recognition, rendering and poses."""
 
+import ctypes
 import statistics
 import tempfile
 import time
@@ -21,12 +22,13 @@ from facerelight.training import make_dataset
 
 
 def peak_memory_mb(run: Callable[[], object]) -> float:
-    """Resident memory that ``run`` needs on top of what is there, in MB (Linux: the high-water mark is reset first)."""
+    """Resident memory that ``run`` needs on top of what is there, in MB (Linux with glibc: the high-water mark is reset first)."""
 
     def status(field: str) -> int:
         with open("/proc/self/status") as file:
             return next(int(line.split()[1]) for line in file if line.startswith(field))
 
+    ctypes.CDLL(None).malloc_trim(0)  # what earlier work freed goes back to the system, and does not hide what this needs
     with open("/proc/self/clear_refs", "w") as file:
         file.write("5")
     before = status("VmRSS")
