@@ -244,11 +244,14 @@ class FaceStatistics(nn.Module):
         operators = face_operators(gram, self.options.face_rank) if self.options.face_rank else None
         basis = self._light_basis(grams)
         pixels = height * width
-        blocks = [
-            self._learn_block(self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis)
-            for start in range(0, pixels, step)
-        ]
-        maps = {name: torch.cat([block[name] for block in blocks], -1).unflatten(-1, (height, width)) for name in blocks[0]}
+        maps: dict[str, Tensor] = {}
+        for start in range(0, pixels, step):
+            block = self._learn_block(self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis)
+            for name, values in block.items():
+                if name not in maps:  # one allocation each: small ones kept between large ones would tear the heap apart
+                    maps[name] = values.new_empty(*values.shape[:-1], pixels)
+                maps[name][..., start : start + values.shape[-1]] = values
+        maps = {name: values.unflatten(-1, (height, width)) for name, values in maps.items()}
         self.n_mean, self.v_mean = maps["n_mean"], maps["v_mean"]
         self.pixel = PixelStatistics(maps["n_factor"], maps["v_std"], maps["v_factor"])
         if operators is not None:
