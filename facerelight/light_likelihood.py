@@ -16,6 +16,7 @@ __all__ = ["LikelihoodIlluminationEstimator"]
 TEMPERS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0)
 CODE_TEMPER = 100 / 8064  # of the whole-face code, an observed pixel: 100 at 96 x 84
 LEAST_GAIN = 1e-3
+IMAGES_AT_ONCE = 16
 REACH = 15.0  # degrees from the nearest bootstrap light
 
 
@@ -89,20 +90,22 @@ class LikelihoodIlluminationEstimator(nn.Module):
         """
         seen = images.flatten(1)[:, self.places].to(self.mean)
         weight = torch.ones_like(seen) if mask is None else mask.flatten(1)[:, self.places].to(seen)
-        rows = []
-        for image, kept in zip(seen, weight, strict=True):
-            root = kept.sqrt() / self.std
-            expected, white = self.mean * root, image * root  # (R, P)
-            gain = ((white * expected).sum(1) / expected.square().sum(1).clamp_min(1e-12)).clamp_min(LEAST_GAIN)
-            residual = white / gain[:, None] - expected
-            misfit = residual.double().square().sum(1)
-            if self.loadings.shape[2]:
-                pull = torch.einsum("rpk,rp->rk", self.loadings, residual * kept.sqrt()).double()
-                half = gaussian.solve_lower(self.factor, pull[..., None])[..., 0]
-                misfit = misfit - half.square().sum(1) + 2 * self.factor.diagonal(dim1=1, dim2=2).log().sum(1)
-            size = kept.double().sum()
-            rows.append(-0.5 * misfit - (kept * self.std.log()).double().sum(1) - size * gain.double().log())
-        return torch.stack(rows)
+        parts = [self._log_likelihood(image, kept) for image, kept in zip(seen.split(IMAGES_AT_ONCE), weight.split(IMAGES_AT_ONCE), strict=True)]
+        return torch.cat(parts)
+
+    def _log_likelihood(self, seen: Tensor, weight: Tensor) -> Tensor:
+        """Of the pixels ``seen (M, P)`` that count ``weight (M, P)``, ``(M, R)``."""
+        root = weight.sqrt()[:, None] / self.std  # (M, R, P)
+        expected, white = self.mean * root, seen[:, None] * root
+        gain = ((white * expected).sum(2) / expected.square().sum(2).clamp_min(1e-12)).clamp_min(LEAST_GAIN)
+        residual = white.div_(gain[..., None]).sub_(expected)
+        misfit = residual.square().sum(2, dtype=torch.float64)
+        if self.loadings.shape[2]:
+            pull = torch.bmm((residual * weight.sqrt()[:, None]).transpose(0, 1), self.loadings).double()  # (R, M, k)
+            half = gaussian.solve_lower(self.factor, pull.mT)  # (R, k, M)
+            misfit = misfit - half.square().sum(1).T + 2 * self.factor.diagonal(dim1=1, dim2=2).log().sum(1)
+        size = weight.double().sum(1, keepdim=True)
+        return -0.5 * misfit - weight.double() @ self.std.double().log().T - size * gain.double().log()
 
     def posterior(self, images: Tensor, mask: Tensor | None = None) -> Tensor:
         """Probability of every light of the grid, ``(M, R)`` float64; all alike for an image without any light."""

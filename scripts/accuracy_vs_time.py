@@ -23,7 +23,7 @@ from tqdm import tqdm
 from trade_off_parts import peak_memory_mb, poses, recognition, rendering
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
-from facerelight.config import DEFAULT_CONFIG, TrainConfig
+from facerelight.config import DEFAULT_CONFIG, QUALITIES, TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.light_likelihood import LikelihoodIlluminationEstimator
 from facerelight.lights import angular_distance, even_hemisphere, light_from_angles
@@ -284,6 +284,9 @@ def relighting(bench: Bench, quick: bool) -> None:
         bench.add("heads", count, count == DEFAULT_CONFIG.heads, by_model(default, heads=count), yale=False)
     for every in (4, 2, 1):
         bench.add("lights", -(-len(bench.worlds["heads"].lights) // every), every == 1, by_model(default, every=every), yale=False)
+    for name, config in QUALITIES.items():  # at one resolution; their own are 96 x 84, 128 x 112 and 192 x 168
+        every = max(1, 64 // config.directions().shape[0])
+        bench.add("quality", name, name == "standard", by_model(config.fit, heads=min(config.heads, heads), every=every), yale=False)
     for scale in (0.25, 0.5, 0.75, 1.0):
         bench.add("resolution", f"{scale:g} of 96 x 84", False, by_resolution(scale))
     bench.add("unknown gain", "yes", True, by_model(default))
