@@ -11,6 +11,7 @@ import kornia
 import torch
 from kornia.geometry.transform import warp_affine
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from facerelight.gaussian import safe_cholesky
 
@@ -20,6 +21,8 @@ SPREAD = (0.02, 0.02, 0.05, 0.03, 0.04, 0.03)
 """Standard deviations of the prior: shifts in image widths, scale, rotation, stretch, shear."""
 
 ROUNDS = 12
+COARSE_TO_FINE = (4, 2, 1)  # so that a large shift is not missed; places are in image widths, whatever the resolution
+COARSEST = 20  # pixels of width
 NEAR_CAMERA = 0.85  # cosine
 REACH = 3.0  # standard deviations; no step goes further
 
@@ -40,7 +43,7 @@ def register(images: Tensor, template: Tensor, start: Tensor | None = None, weig
     Args:
         images: of one face.
         template: what the model expects under the same lights.
-        start: ``(6,)``, where to begin; None: nowhere.
+        start: ``(6,)``, where to begin, at full resolution; None: at the model's own place, from coarse to fine.
         weight: ``(H, W)``, where the images show the face; None: everywhere.
         penalty: what one standard deviation of the prior costs beside 1 - correlation; on real faces 0.004 to 0.012 do equally well.
 
@@ -52,17 +55,28 @@ def register(images: Tensor, template: Tensor, start: Tensor | None = None, weig
         >>> register(face, face).abs().max() < 1e-3
         tensor(True)
     """
+    theta = torch.zeros(6, dtype=torch.float64) if start is None else start.double()
+    weight = images.new_ones(images.shape[-2:]) if weight is None else weight.to(images)
+    for scale in COARSE_TO_FINE if start is None else (1,):
+        height, width = images.shape[-2] // scale, images.shape[-1] // scale
+        if scale == 1 or width >= COARSEST:
+            seen, wanted, mask = (_shrink(x, (height, width)) for x in (images, template, weight[None]))
+            theta = _descend(seen, wanted, theta, mask[0], penalty)
+    return theta.to(images)
+
+
+def _descend(images: Tensor, template: Tensor, theta: Tensor, weight: Tensor, penalty: float) -> Tensor:
+    """Gauss and Newton's steps from ``theta`` at one resolution."""
     size = images.shape[-2:]
-    weight = _middle(size) if weight is None else _middle(size) * weight.to(images)
+    weight = _middle(size) * weight
     contrast = local_contrast(images)
     wanted = (local_contrast(template) * weight).flatten()
     wanted = wanted / wanted.norm().clamp_min(1e-12)
     ways = _ways(size).to(images)  # d place / d theta, (6, 2, H, W)
     spread = torch.tensor(SPREAD, dtype=torch.float64)
     prior = torch.diag(2 * penalty / spread.square())
-    theta = torch.zeros(6, dtype=torch.float64) if start is None else start.double()
     if float(contrast.abs().max()) < 1e-6:
-        return theta.to(images)
+        return theta
     for _ in range(ROUNDS):
         moved = deform(contrast, theta.to(images))
         down, right = torch.gradient(moved, dim=(1, 2))
@@ -75,7 +89,12 @@ def register(images: Tensor, template: Tensor, start: Tensor | None = None, weig
         descent = jacobian @ (wanted - seen).double() - prior @ theta
         theta = theta + torch.cholesky_solve(descent[:, None], factor)[:, 0]
         theta = torch.maximum(torch.minimum(theta, REACH * spread), -REACH * spread)
-    return theta.to(images)
+    return theta
+
+
+def _shrink(images: Tensor, size: tuple[int, int]) -> Tensor:
+    """``images (M, H, W)`` by area averages."""
+    return images if images.shape[-2:] == size else interpolate(images[:, None], size, mode="area")[:, 0]
 
 
 def congeal(faces: Tensor, rounds: int = 4) -> Tensor:
@@ -86,12 +105,12 @@ def congeal(faces: Tensor, rounds: int = 4) -> Tensor:
         rounds: how often every face is registered to the mean of the others.
     """
     theta = torch.zeros(len(faces), 6)
-    for _ in range(rounds):
+    for turn in range(rounds):
         moved = torch.stack([deform(face[None], t)[0] for face, t in zip(faces, theta, strict=True)])
         moved = moved / moved.mean((1, 2), keepdim=True).clamp_min(1e-6)
         total = moved.sum(0)
         theta = torch.stack(
-            [register(face[None], (total - own)[None], t) for face, own, t in zip(faces, moved, theta, strict=True)],
+            [register(face[None], (total - own)[None], t if turn else None) for face, own, t in zip(faces, moved, theta, strict=True)],
         )
         theta = theta - theta.mean(0)
     return theta

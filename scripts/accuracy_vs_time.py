@@ -297,7 +297,7 @@ def relighting(bench: Bench, quick: bool) -> None:
         bench.add("input images", inputs, inputs == 1, by_model(default, inputs=inputs), yale=False)
     bench.add("input images", "4, MLE (fixed n)", False, by_model(default, "pixel", inputs=4, method="mle"), yale=False)
     for size in (1, 5, 30):
-        bench.add("pixels a group", size, False, by_groups(size), people=4, yale=False)
+        bench.add("pixels a group", size, False, by_groups(size), people=2, yale=False)
     for people in (10, 60):
         bench.add(
             "light unknown",
