@@ -1,10 +1,13 @@
 """What training costs: by pass for each head and light, and in time and memory from 50 to 400 heads, with a plan for a million.
 
 python scripts/measure_training.py --picture scaling.png
+python scripts/measure_training.py --processes
 """
 
 import argparse
 import json
+import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -18,6 +21,7 @@ import torch
 from facerelight.bootstrap import scene
 from facerelight.bootstrap.scene import plan_effects, shade
 from facerelight.config import TrainConfig
+from facerelight.statistics import FaceStatistics
 from facerelight.training import make_dataset
 
 matplotlib.use("Agg")
@@ -72,6 +76,29 @@ def trained(heads: int, options: list[str]) -> dict[str, float]:
         return json.loads(subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout.splitlines()[-1])
 
 
+def shared(processes: int, folder: Path) -> tuple[float, float]:
+    """Seconds of rendering and solving ``configs/tiny.yaml`` under torchrun, and of the whole command; every process held to one thread."""
+    config = Path(__file__).parents[1] / "configs" / "tiny.yaml"
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", str(processes), "-m", "facerelight.cli"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+    started = time.perf_counter()
+    command = [*launcher, "train", "--config", str(config), "--output", str(folder), "--workers", "0"]
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    report = json.loads((folder / "report.json").read_text())
+    return report["render_seconds"] + report["solve_seconds"], time.perf_counter() - started
+
+
+def two_processes(repeats: int) -> None:
+    """One process against two: time, and the largest difference of any statistic."""
+    with tempfile.TemporaryDirectory() as temporary:
+        runs = [(shared(1, Path(temporary) / f"one{i}"), shared(2, Path(temporary) / f"two{i}")) for i in range(repeats)]
+        one, two = (FaceStatistics.load(Path(temporary) / name / "statistics.safetensors").state_dict() for name in ("one0", "two0"))
+    largest = max(float((one[name] - two[name]).abs().max()) for name in one)
+    training, whole = (statistics.median(a[k] / b[k] for a, b in runs) for k in (0, 1))
+    print(f"two processes under torchrun, configs/tiny.yaml, medians of {repeats} pairs: rendering and solving {training:.2f} times as fast as")
+    print(f"one, the whole command {whole:.2f} times; largest difference of a statistic {largest:.1e}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--heads", type=int, default=5, help="for the costs by pass, at the default config's size")
@@ -79,8 +106,12 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=42)
     parser.add_argument("--lights", type=int, default=32)
     parser.add_argument("--picture", type=Path, default=None)
+    parser.add_argument("--processes", action="store_true", help="measure one process against two, and nothing else")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
+    if args.processes:
+        two_processes(5)
+        return
     costs = breakdown(TrainConfig(heads=args.heads), args.heads)
     print("| pass | ms |\n|---|---|")
     for name, milliseconds in costs.items():
