@@ -108,7 +108,7 @@ def adapt(
     if prior_heads <= 0:
         raise ValueError(f"prior_heads: expected more than 0, got {prior_heads}")
     relighter = StatisticalRelighter(statistics, "pixel" if statistics.face is None else "face", estimator)
-    rendered_mean = statistics.v_mean + torch.einsum("jc,chw->jhw", statistics.lights, statistics.n_mean)
+    rendered_mean = statistics.mean_images()
     completed = [_complete(relighter, person) for person in people]
     gains = [_gain(images, rendered_mean) for images in completed]
     mean = torch.stack([images / gain for images, gain in zip(completed, gains, strict=True)]).mean(0)

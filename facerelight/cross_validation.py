@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.lights import angular_distance, light_from_angles
+from facerelight.lights import light_from_angles, nearest_lights
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 
@@ -57,8 +57,7 @@ def choose_face_options(
     usable = sorted({min(rank, least) for rank in ranks})
     if usable[0] < 1:
         raise ValueError(f"images: expected enough people to leave out one of {folds} groups and learn from 3 or more, got {len(images)}")
-    wanted = [light_from_angles(*angles).expand_as(lights) for angles in SOURCES]
-    sources = sorted({int(angular_distance(lights, light).argmin()) for light in wanted})
+    sources = nearest_lights(torch.stack([light_from_angles(*angles) for angles in SOURCES]), lights).unique().tolist()
     totals: dict[tuple[int, float], list[float]] = {}
     for fold in range(folds):
         out = torch.arange(len(images)) % folds == fold

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from facerelight import gaussian
 from facerelight.covariance import image_covariance, light_terms, loadings_at, prior_mean
 from facerelight.illumination import LightEstimate
-from facerelight.lights import angular_distance, even_hemisphere
+from facerelight.lights import angular_distance, even_hemisphere, nearest_lights
 from facerelight.statistics import FaceStatistics
 
 __all__ = ["LikelihoodIlluminationEstimator"]
@@ -109,8 +109,7 @@ class LikelihoodIlluminationEstimator(nn.Module):
 
     def posterior(self, images: Tensor, mask: Tensor | None = None) -> Tensor:
         """Probability of every light of the grid, ``(M, R)`` float64; all alike for an image without any light."""
-        lit = images.flatten(1).abs().amax(1) > 1e-6
-        likelihood = self.log_likelihood(images, mask) * lit[:, None]
+        likelihood = self.log_likelihood(images, mask) * _lit(images)[:, None]
         return torch.softmax(likelihood / self.temper.double(), 1)
 
     def calibrate(self, images: Tensor, lights: Tensor, valid: Tensor | None = None) -> LikelihoodIlluminationEstimator:
@@ -118,7 +117,7 @@ class LikelihoodIlluminationEstimator(nn.Module):
         there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
         truth = lights.expand(len(images), -1, -1)[there]
         likelihood = self.log_likelihood(images[there])
-        near = angular_distance(truth[:, None], self.grid[None]).argmin(1)
+        near = nearest_lights(truth, self.grid)
         score = {t: float(torch.log_softmax(likelihood / t, 1).gather(1, near[:, None]).mean()) for t in TEMPERS}
         self.temper.fill_(max(score, key=score.__getitem__))
         return self
@@ -130,8 +129,7 @@ class LikelihoodIlluminationEstimator(nn.Module):
         flat = images.flatten(0, 1)
         probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(images.shape[1], 0))
         direction = torch.nn.functional.normalize(probability.to(self.grid) @ self.grid, dim=-1)
-        lit = flat.flatten(1).abs().amax(1) > 1e-6
-        return LightEstimate((direction * lit[:, None]).unflatten(0, images.shape[:2]).to(images))
+        return LightEstimate((direction * _lit(flat)[:, None]).unflatten(0, images.shape[:2]).to(images))
 
     def sample(
         self,
@@ -157,8 +155,12 @@ class LikelihoodIlluminationEstimator(nn.Module):
         cell = self.spacing() / 2
         noise = cell * torch.randn(len(flat), count, 3, generator=generator)
         drawn = torch.nn.functional.normalize(self.grid[chosen] + noise.to(self.grid), dim=-1)
-        lit = (flat.flatten(1).abs().amax(1) > 1e-6)[:, None, None]
-        return (drawn * lit).unflatten(0, (people, inputs)).transpose(1, 2).to(images)
+        return (drawn * _lit(flat)[:, None, None]).unflatten(0, (people, inputs)).transpose(1, 2).to(images)
+
+
+def _lit(images: Tensor) -> Tensor:
+    """Which of ``images (M, H, W)`` hold any light, ``(M,)``."""
+    return images.flatten(1).abs().amax(1) > 1e-6
 
 
 def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:

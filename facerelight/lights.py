@@ -21,6 +21,7 @@ __all__ = [
     "hemisphere_quadrature",
     "light_from_angles",
     "merge_repeats",
+    "nearest_lights",
     "thesis_grid",
     "unit_lights",
 ]
@@ -90,6 +91,11 @@ def angular_distance(a: Tensor, b: Tensor) -> Tensor:
     a, b = unit_lights(a), unit_lights(b)
     half = torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)
     return torch.rad2deg(2 * torch.atan2(*half))
+
+
+def nearest_lights(wanted: Tensor, lights: Tensor) -> Tensor:
+    """For each of ``wanted (Q, 3)``, which of ``lights (J, 3)`` is nearest in angle: indices ``(Q,)``."""
+    return angular_distance(wanted[:, None], lights[None]).argmin(1)
 
 
 def thesis_grid() -> Tensor:

@@ -238,7 +238,7 @@ class FaceStatistics(nn.Module):
         brightness: Brightness | None = None
         gram = total_gram(grams, fill)
         if self.options.brightness:
-            brightness = measure_brightness(self.store, grams, fill, step)
+            brightness = measure_brightness(self.store, gram, fill, step)
             self.gain_spread, self.gain_noise = brightness.spread, brightness.noise
             gram = gram / torch.outer(brightness.gain, brightness.gain)
         operators = face_operators(gram, self.options.face_rank) if self.options.face_rank else None
@@ -312,6 +312,10 @@ class FaceStatistics(nn.Module):
         """Orthonormal functions over the lights that hold most of how v varies between subjects, ``(m, J)``."""
         vectors = torch.linalg.eigh(grams.deviation_spread).eigenvectors
         return vectors[:, -min(self.options.basis, len(self.lights)) :].T.flip(0).float()
+
+    def mean_images(self) -> Tensor:
+        """The average face under every bootstrap light, ``n^T s + v`` of the means, ``(J, H, W)``."""
+        return self.v_mean + torch.einsum("jc,chw->jhw", self.lights, self.n_mean)
 
     def weights(self, lights: Tensor) -> Tensor:
         """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so few count."""

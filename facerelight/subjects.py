@@ -139,16 +139,18 @@ def total_gram(grams: Grams, fill: dict[int, Tensor]) -> Tensor:
     return total
 
 
-def measure_brightness(store: ImageStore, grams: Grams, fill: dict[int, Tensor], block: int) -> Brightness:
-    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells; one more pass."""
-    total = total_gram(grams, fill)
+def measure_brightness(store: ImageStore, total: Tensor, fill: dict[int, Tensor], block: int) -> Brightness:
+    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells; one more pass.
+
+    ``total (N, N)`` is :func:`total_gram`.
+    """
     gain = torch.ones(len(total), dtype=torch.float64)
     for _ in range(5):
         average = total @ (1 / gain)  # inner products with N times the average face
         gain = average / ((1 / gain) @ average) * len(gain)
         gain = gain / gain.log().mean().exp()
-    pixels = math.prod(store.shape[1:])
-    read = torch.zeros(len(gain), grams.missing.shape[1], dtype=torch.float64)  # inner products with the average face, by light
+    light_count, pixels = store.shape[0], math.prod(store.shape[1:])
+    read = torch.zeros(len(gain), light_count, dtype=torch.float64)  # inner products with the average face, by light
     for start in range(0, pixels, block):
         images = fill_missing(store.block(start, min(start + block, pixels)), fill) / gain.float()[:, None, None]
         read += torch.einsum("njp,jp->nj", images, images.mean(0)).double()

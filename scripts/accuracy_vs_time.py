@@ -27,7 +27,7 @@ from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import DEFAULT_CONFIG, QUALITIES, TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import angular_distance, even_hemisphere, light_from_angles
+from facerelight.lights import even_hemisphere, light_from_angles, nearest_lights
 from facerelight.mixture import draw_mixture, histogram_mode
 from facerelight.regions import GroupRelighter, make_regions, random_groups
 from facerelight.registration import align_people
@@ -72,9 +72,8 @@ class World:
     ) -> None:
         self.register = register
         self.images, self.lights, self.valid, self.strangers, self.there = images, lights, valid, strangers, there
-        self.sources = [int(angular_distance(lights, source.expand_as(lights)).argmin()) for source in SOURCES]
-        wanted = even_hemisphere(12)
-        self.targets = torch.tensor([int(angular_distance(lights, target.expand_as(lights)).argmin()) for target in wanted])
+        self.sources = nearest_lights(SOURCES, lights).tolist()
+        self.targets = nearest_lights(even_hemisphere(12), lights)
 
     def fit(self, options: FitOptions, heads: int | None = None, every: int = 1) -> FaceStatistics:
         return FaceStatistics.fit(self.images[:heads, ::every], self.lights[::every], self.valid[:heads, ::every], options)

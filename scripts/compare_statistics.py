@@ -67,7 +67,7 @@ def main() -> None:
     spread = [pixel.n_factor.square().sum((0, 1)).sqrt() for pixel in pixels]
     v_error = 255 * (real.v_mean - rendered.v_mean)
     v_spread = [255 * pixel.v_std for pixel in pixels]
-    image = [s.v_mean + torch.einsum("jc,chw->jhw", s.lights, s.n_mean) for s in (real, rendered)]
+    image = [s.mean_images() for s in (real, rendered)]
     gain = (image[0] * image[1]).sum((1, 2)) / image[1].square().sum((1, 2))
     off = correlation(pixels[0]) - correlation(pixels[1])
     tones = [255 * people.mean((1, 2)), 255 * heads.mean((1, 2))]

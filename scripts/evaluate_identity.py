@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.lights import angular_distance, even_hemisphere, light_from_angles
+from facerelight.lights import even_hemisphere, light_from_angles, nearest_lights
 from facerelight.registration import align_people
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
@@ -129,9 +129,7 @@ def main() -> None:
     if args.data:
         faces = load_yale(args.data, args.height, args.width)
         images, valid = to_grid(faces)
-        source, target = (
-            int(angular_distance(faces.lights, light_from_angles(*a).expand_as(faces.lights)).argmin()) for a in ((70.0, 0.0), (0.0, 0.0))
-        )
+        source, target = (int(nearest_lights(light_from_angles(*a)[None], faces.lights)) for a in ((70.0, 0.0), (0.0, 0.0)))
         parts = []
         for fold in range(4):
             out = torch.arange(len(images)) % 4 == fold

@@ -15,7 +15,7 @@ from kornia.geometry.transform import resize
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.evaluation import SOURCES
-from facerelight.lights import angular_distance, light_from_angles
+from facerelight.lights import light_from_angles, nearest_lights
 from facerelight.registration import align_people, deform, register, undeform
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
@@ -67,10 +67,10 @@ def main() -> None:
         out = torch.arange(len(images)) % 4 == fold
         aligned = align_people(images[~out], faces.lights, valid[~out])
         whole = FaceStatistics.fit(aligned, faces.lights, valid[~out], FitOptions(face_rank=18))
-        mean = whole.v_mean + torch.einsum("jc,chw->jhw", whole.lights, whole.n_mean)
+        mean = whole.mean_images()
         pyramids = {levels: Pyramid(aligned, faces.lights, valid[~out], levels, FitOptions()) for levels in (2, 3, 4, 5)}
         for case, angles in SOURCES.items():
-            source = int(angular_distance(faces.lights, light_from_angles(*angles).expand_as(faces.lights)).argmin())
+            source = int(nearest_lights(light_from_angles(*angles)[None], faces.lights))
             light = faces.lights[source : source + 1]
             for person, there in zip(images[out], valid[out], strict=True):
                 targets = there.clone()

@@ -15,7 +15,7 @@ import torch
 
 from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.evaluation import SOURCES
-from facerelight.lights import angular_distance, light_from_angles
+from facerelight.lights import light_from_angles, nearest_lights
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments
 from facerelight.recognition.subspaces import principal_angles, principal_subspace
@@ -43,7 +43,7 @@ def main() -> None:
         )
         relighter = StatisticalRelighter(learned, "face")
         for case, angles in SOURCES.items():
-            light = int(angular_distance(faces.lights, light_from_angles(*angles).expand_as(faces.lights)).argmin())
+            light = int(nearest_lights(light_from_angles(*angles)[None], faces.lights))
             people = (out & valid[:, light]).nonzero()[:, 0].tolist()
             posteriors = [relighter.condition(images[p, light][None, None], faces.lights[light][None]) for p in people]
             probes, labels = [], []
