@@ -21,7 +21,7 @@ from facerelight.bootstrap.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.lights import angle_pairs
-from facerelight.recognition.evaluation import evaluate_gallery, training_lights
+from facerelight.recognition.evaluation import evaluate_galleries, training_lights
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 from facerelight.training import make_dataset
@@ -90,7 +90,7 @@ def measure(images: torch.Tensor, faces: FaceImages, rank: int) -> tuple[float, 
     gallery = next(training_lights(faces, list(range(len(faces.names))), "front", 1))
     relighter = StatisticalRelighter(statistics, "face")
     name = "individual_pca_9+weber"
-    right = evaluate_gallery(faces, gallery, relighter, [name])[name].right
+    right = evaluate_galleries(faces, [gallery], relighter, [name])[name][0].right
     return front, side, 100 * float(right.float().mean())
 
 

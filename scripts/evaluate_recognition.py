@@ -8,6 +8,7 @@
 import argparse
 import json
 import sys
+from itertools import chain, islice
 from pathlib import Path
 
 import torch
@@ -17,7 +18,9 @@ from facerelight.bootstrap.dataset import load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.recognition.evaluation import BASELINES, CLASSIFIERS, Tally, evaluate_gallery, pie_as_canonical, training_lights
+from facerelight.recognition.evaluation import Enrolment, Tally, evaluate_galleries, pie_as_canonical, training_lights
+from facerelight.recognition.methods import BASELINES, CLASSIFIERS
+from facerelight.recognition.photometric import NORMALIZERS
 from facerelight.registration import align_people
 from facerelight.relighter import LightEstimator, StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
@@ -45,20 +48,36 @@ def rendered(args: argparse.Namespace) -> StatisticalRelighter:
     return relighter
 
 
+def summary(runs: list[Tally]) -> dict[str, object]:
+    """Accuracy in percent over all probes of all galleries, its spread over galleries, by subset, and seconds a probe."""
+    right, subset = torch.cat([t.right for t in runs]).float(), torch.cat([t.subset for t in runs])
+    each = torch.tensor([float(t.right.float().mean()) for t in runs])
+    return {
+        "accuracy": round(100 * float(right.mean()), 2),
+        "std": round(100 * float(each.std(correction=0)), 2),
+        "by_subset": {str(s): round(100 * float(right[subset == s].mean()), 2) for s in sorted(set(subset.tolist()))},
+        "seconds_per_probe": round(sum(t.seconds for t in runs) / len(right), 6),
+    }
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--protocol", choices=["yale-recognize", "pie-recognize"], default="yale-recognize")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--bootstrap-data", type=Path, default=None, help="Extended Yale B, for pie-recognize with real statistics")
-    parser.add_argument("--train-light", choices=["front", "side", "same", "random", "random-mild"], default="front")
+    parser.add_argument(
+        "--train-light", nargs="+", choices=["front", "side", "same", "random", "random-mild"], default=["front"], help="several share the work"
+    )
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
     parser.add_argument("--source", default="makehuman", help="of rendered heads: makehuman, ict_heads.npz or a folder of meshes")
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
-    parser.add_argument("--classifier", nargs="+", default=list(CLASSIFIERS), help=f"of {', '.join(CLASSIFIERS)}")
+    parser.add_argument(
+        "--classifier", nargs="+", default=list(CLASSIFIERS), help="names of facerelight.recognition.methods, without normalisation"
+    )
     parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
-    parser.add_argument("--photometric", nargs="+", choices=["none", "unit", "tan_triggs", "weber"], default=["none", "tan_triggs", "weber"])
+    parser.add_argument("--photometric", nargs="+", choices=list(NORMALIZERS), default=["none", "tan_triggs", "weber"])
     parser.add_argument("--exemplars", choices=["grid", "hemisphere", "dome", "cap"], default="dome")
     parser.add_argument(
         "--registration", choices=["affine", "none"], default="affine", help="of the people of real statistics, and of training images"
@@ -72,7 +91,7 @@ def main() -> int:
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     names = [c if p == "none" else f"{c}+{p}" for p in args.photometric for c in args.classifier] + args.baseline
-    tallies: dict[str, list[Tally]] = {name: [] for name in names}
+    tallies: dict[str, dict[str, list[Tally]]] = {case: {name: [] for name in names} for case in args.train_light}
     pie = args.protocol == "pie-recognize"
     draws = args.draws or (100 if pie else 20)
 
@@ -95,38 +114,31 @@ def main() -> int:
         for fold in range(4):
             train = [i for i in range(len(images)) if i % 4 != fold]
             groups.append(([i for i in range(len(images)) if i % 4 == fold], learn(images[train], faces.lights, valid[train], args)))
+    enrolment = Enrolment(args.source_light == "estimated", args.exemplars, args.shift, args.registration == "affine")
     for people, relighter in groups:
-        for gallery in training_lights(faces, people, args.train_light, draws):
-            found = evaluate_gallery(
-                faces, gallery, relighter, names, args.source_light == "estimated", args.exemplars, args.shift, args.registration == "affine"
-            )
-            for name, tally in found.items():
-                tallies[name].append(tally)
-
-    results = {}
-    for name, runs in tallies.items():
-        right, subset = torch.cat([t.right for t in runs]).float(), torch.cat([t.subset for t in runs])
-        each = torch.tensor([float(t.right.float().mean()) for t in runs])
-        results[name] = {
-            "accuracy": round(100 * float(right.mean()), 2),
-            "std": round(100 * float(each.std(correction=0)), 2),
-            "by_subset": {str(s): round(100 * float(right[subset == s].mean()), 2) for s in sorted(set(subset.tolist()))},
-            "seconds_per_probe": round(sum(t.seconds for t in runs) / len(right), 6),
+        galleries = {case: list(training_lights(faces, people, case, draws)) for case in args.train_light}
+        found = evaluate_galleries(faces, list(chain(*galleries.values())), relighter, names, enrolment)
+        for name, runs in found.items():
+            left = iter(runs)
+            for case in args.train_light:
+                tallies[case][name] += islice(left, len(galleries[case]))
+    reports = [
+        {
+            "protocol": args.protocol,
+            "train_light": case,
+            "statistics": args.statistics,
+            "covariance": args.covariance,
+            "source_light": args.source_light,
+            "resolution": [args.height, args.width],
+            "exemplars": args.exemplars,
+            "registration": args.registration,
+            "estimator": args.estimator,
+            "shift": args.shift,
+            "results": {name: summary(runs) for name, runs in tallies[case].items()},
         }
-    report = {
-        "protocol": args.protocol,
-        "train_light": args.train_light,
-        "statistics": args.statistics,
-        "covariance": args.covariance,
-        "source_light": args.source_light,
-        "resolution": [args.height, args.width],
-        "exemplars": args.exemplars,
-        "registration": args.registration,
-        "estimator": args.estimator,
-        "shift": args.shift,
-        "results": results,
-    }
-    text = json.dumps(report, indent=2)
+        for case in args.train_light
+    ]
+    text = json.dumps(reports[0] if len(reports) == 1 else reports, indent=2)
     if args.json:
         args.json.write_text(text)
     print(text)

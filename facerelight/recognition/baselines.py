@@ -41,7 +41,7 @@ class OpenCVClassifier(Classifier):
         self.kind = kind
         self._recognizer = RECOGNIZERS[kind]()
 
-    def _rows(self, images: Tensor) -> Tensor:
+    def _flatten(self, images: Tensor) -> Tensor:
         return images
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:

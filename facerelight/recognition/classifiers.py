@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+import functools
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import Literal, Self
 
 import torch
@@ -22,8 +23,8 @@ class Classifier(nn.Module):
         normalizer: photometric normalisation of exemplars and probes alike.
         reject: least score that is not a stranger; "fit": :meth:`fit` finds it, where held-out exemplars are turned away as often as other
             people's are let in.
-        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, every other pixel apart, and its best
-            score for each person counts.
+        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, and its best score for each person
+            counts.
     """
 
     def __init__(self, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0) -> None:
@@ -90,9 +91,16 @@ class Classifier(nn.Module):
             raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
         if images.dim() != 3 or not torch.isfinite(images).all():
             raise ValueError(f"images: expected finite (M, H, W), got {tuple(images.shape)}")
-        steps = sorted({*range(-self.shift, self.shift + 1, 2), 0})
-        scores = [self._scores(self._rows(_moved(images, down, right))) for down in steps for right in steps]
-        return torch.stack(scores).amax(0)
+        return self.compare(self.views(images))
+
+    def views(self, images: Tensor) -> Iterator[Tensor]:
+        """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend on who is enrolled."""
+        steps = range(-self.shift, self.shift + 1)
+        return (self.normalizer(_moved(images.float(), down, right)) for down in steps for right in steps)
+
+    def compare(self, views: Iterable[Tensor]) -> Tensor:
+        """Scores ``(M, C)`` of what :meth:`views` gave; classifiers with the same normaliser and shift can share it."""
+        return functools.reduce(torch.maximum, (self._scores(self._flatten(view)) for view in views))
 
     def predict(self, images: Tensor) -> list[Hashable | None]:
         """The label of each image; None where the best score lies below ``threshold_``."""
@@ -150,6 +158,15 @@ class SumClassifier(Classifier):
         """The weighted sum of the classifiers' scores, ``(M, C)``."""
         scores = [weight * self._member(i).decision_function(images) for i, weight in enumerate(self.weights)]
         return torch.stack(scores).sum(0)
+
+    def views(self, images: Tensor) -> Iterator[Tensor]:
+        """The first classifier's."""
+        return self._member(0).views(images)
+
+    def compare(self, views: Iterable[Tensor]) -> Tensor:
+        """For classifiers that all have the first one's normaliser and shift."""
+        shared = list(views)
+        return torch.stack([weight * self._member(i).compare(shared) for i, weight in enumerate(self.weights)]).sum(0)
 
     def _member(self, index: int) -> Classifier:
         member = self.classifiers[index]
@@ -256,8 +273,12 @@ class IndividualPCAClassifier(Classifier):
     Args:
         dimension: of each subspace; None: as few as leave 1 % of the energy, 35 to 45 in the thesis.
         error: that error.
+        metric: "error", the reconstruction error (6.1); or "cosine", between a probe and the person's mean, both outside the person's subspace.
+            The cosine takes the mean at the strength that the probe shows it with, and measures what is left by what the subspace leaves of the
+            probe, so people enrolled from bright and from nearly black photographs can be compared.
         normalizer, shift: see :class:`Classifier`.
-        reject: least score (minus relative reconstruction error) that is not a stranger; see :meth:`Classifier.calibrate`.
+        reject: least score (minus relative reconstruction error; for "cosine" the cosine) that is not a stranger; see
+            :meth:`Classifier.calibrate`.
 
     Buffers: ``means (C, D)``, ``bases (C, D, k)`` zero-padded to one k, ``offsets (C, k)`` of the means in them,
     ``dimensions (C,)``.
@@ -275,12 +296,20 @@ class IndividualPCAClassifier(Classifier):
     dimensions: Tensor
 
     def __init__(
-        self, dimension: int | None = None, error: float = 0.01, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0
+        self,
+        dimension: int | None = None,
+        error: float = 0.01,
+        normalizer: nn.Module | None = None,
+        reject: Reject = None,
+        shift: int = 0,
+        metric: str = "error",
     ) -> None:
         super().__init__(normalizer, reject, shift)
         if dimension is not None and dimension < 0:
             raise ValueError(f"dimension: expected at least 0, got {dimension}")
-        self.dimension, self.error = dimension, error
+        if metric not in ("error", "cosine"):
+            raise ValueError(f"metric: expected 'error' or 'cosine', got {metric!r}")
+        self.dimension, self.error, self.metric = dimension, error, metric
         for name in ("means", "bases", "offsets"):
             self.register_buffer(name, torch.zeros(0))
         self.register_buffer("dimensions", torch.zeros(0, dtype=torch.long))
@@ -328,5 +357,15 @@ class IndividualPCAClassifier(Classifier):
         outside = rows.square().sum(1, keepdim=True) - 2 * rows @ self.means.T + self.means.square().sum(1)
         return (outside - inside.square().sum(-1)).clamp_min(0)
 
+    def _cosines(self, rows: Tensor) -> Tensor:
+        """``cos(x - B B^T x, m - B B^T m)``; 0 where the subspace leaves nothing of either."""
+        inside = torch.matmul(rows, self.bases).transpose(0, 1)  # (M, C, k)
+        together = rows @ self.means.T - (inside * self.offsets).sum(-1)
+        probe = rows.square().sum(1, keepdim=True) - inside.square().sum(-1)
+        person = self.means.square().sum(1) - self.offsets.square().sum(1)
+        return together / (probe.clamp_min(1e-12) * person.clamp_min(1e-12)).sqrt()
+
     def _scores(self, rows: Tensor) -> Tensor:
+        if self.metric == "cosine":
+            return self._cosines(rows)
         return -self._errors(rows) / rows.square().sum(1, keepdim=True).clamp_min(1e-12)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -11,34 +13,31 @@ from torch import Tensor
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
-from facerelight.recognition.class_conditional import GaussianClassifier
-from facerelight.recognition.classifiers import (
-    Classifier,
-    GlobalPCAClassifier,
-    IndividualPCAClassifier,
-    NearestNeighborClassifier,
-    SumClassifier,
-)
+from facerelight.detail import keep_detail
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
-from facerelight.recognition.photometric import make_normalizer
+from facerelight.recognition.methods import GalleryImages, fit_classifier, is_pairwise, photometric
 from facerelight.relighter import StatisticalRelighter
 
-__all__ = ["BASELINES", "CLASSIFIERS", "Tally", "evaluate_gallery", "pie_as_canonical", "training_lights"]
+__all__ = ["Enrolment", "Tally", "evaluate_galleries", "pie_as_canonical", "training_lights"]
 
 PIE_LANDMARKS = ((12.0, 20.0), (32.0, 20.0), (22.0, 41.5))
 
-CLASSIFIERS = (
-    "nearest_neighbor",
-    "nearest_neighbor+exemplars",
-    "global_pca",
-    "individual_pca",
-    "individual_pca_9",
-    "individual_pca_9+photo",
-    "gaussian_9",
-    "gaussian_mixture_9",
-)
-BASELINES = ("eigenfaces", "fisherfaces", "lbph", "sface")
+
+@dataclass(frozen=True)
+class Enrolment:
+    """How training images become exemplars, and probes are compared.
+
+    Args:
+        estimated: estimate the training images' lights instead of taking the labels.
+        exemplars: lights to synthesise under, see :func:`exemplar_lights`.
+        shift: pixels by which probes may lie off, for all classifiers.
+        register: find where each training image's face lies beside the model's before it is relit (and relit there).
+    """
+
+    estimated: bool = False
+    exemplars: str = "dome"
+    shift: int = 0
+    register: bool = False
 
 
 class Tally(NamedTuple):
@@ -92,97 +91,79 @@ def training_lights(faces: FaceImages, people: list[int], case: str, draws: int,
         raise ValueError(f"train light: expected front, side, same, random or random-mild, got {case!r}")
 
 
-def evaluate_gallery(
+def evaluate_galleries(
     faces: FaceImages,
-    gallery: dict[int, int],
+    galleries: list[dict[int, int]],
     relighter: StatisticalRelighter,
     classifiers: list[str],
-    estimated: bool = False,
-    exemplars: str = "dome",
-    shift: int = 0,
-    register: bool = False,
-) -> dict[str, Tally]:
-    """Fit every classifier to one gallery and count right answers over all other images of its people.
+    enrolment: Enrolment | None = None,
+) -> dict[str, list[Tally]]:
+    """Fit every classifier to every gallery and count right answers over all other images of its people.
+
+    Where a person's score depends on nobody else, each training image is enrolled and compared with all images once, however many
+    galleries it is in.
 
     Args:
         faces: the data.
-        gallery: person to light of the training image.
+        galleries: person to light of the training image.
         relighter: synthesises exemplars.
-        classifiers: names of :data:`CLASSIFIERS`, each with "+tan_triggs", "+weber" or "+unit" where wanted, and of :data:`BASELINES`.
-        estimated: estimate the training images' lights instead of taking the labels.
-        exemplars: lights to synthesise under, see :func:`exemplar_lights`.
-        shift: pixels by which probes may lie off, for all classifiers.
-        register: find where each training image's face lies beside the model's before it is relit (and relit there).
+        classifiers: names, see :mod:`facerelight.recognition.methods`.
+        enrolment: how; default: known lights, no shifts, no registration.
     """
-    images, valid = to_grid(faces)
-    subset = torch.zeros(len(faces.lights), dtype=torch.long).index_copy_(0, faces.light, faces.subset)
-    people = list(gallery)
-    training = torch.stack([images[person, light] for person, light in gallery.items()])
-    probes, labels, parts = [], [], []
-    for person, light in gallery.items():
-        others = [x for x in valid[person].nonzero()[:, 0].tolist() if x != light]
-        probes.append(images[person, others])
-        labels += [person] * len(others)
-        parts.append(subset[others])
-    stack = torch.cat(probes)
-    given = None if estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
-    posterior = relighter.condition(training[:, None], given, draws=8, register=register)
-    lights, _ = exemplar_lights(exemplars)
-    relit = synthesize(posterior, lights)
-    rows = torch.cat((relit, training[:, None]), 1).flatten(0, 1)
-    owners = [person for person in people for _ in range(relit.shape[1] + 1)]
-    data = _Gallery(training, people, rows, owners, (faces.images.shape[1], faces.images.shape[2]), shift)
-    tallies = {}
-    for name in classifiers:
-        started = time.perf_counter()
-        found = _fitted(name, data).predict(stack)
-        right = torch.tensor([a == b for a, b in zip(found, labels, strict=True)])
-        tallies[name] = Tally(right, torch.cat(parts), time.perf_counter() - started)
+    how = enrolment or Enrolment()
+    tables = _score_tables(faces, galleries, relighter, [name for name in classifiers if is_pairwise(name)], how)
+    tallies: dict[str, list[Tally]] = {name: [] for name in classifiers}
+    for gallery in galleries:
+        people, lights = torch.tensor(list(gallery)), torch.tensor(list(gallery.values()))
+        light_of = torch.full((len(faces.names),), -1).index_copy_(0, people, lights)
+        probes = (light_of[faces.subject] >= 0) & (light_of[faces.subject] != faces.light)
+        images = _enroll(faces, gallery, relighter, how) if len(tables) < len(classifiers) else None
+        for name in classifiers:
+            started = time.perf_counter()
+            if name in tables:
+                scores, rate = tables[name]
+                found = people[scores[probes][:, people, lights].argmax(1)]
+                seconds = rate * len(people) * int(probes.sum())
+            else:
+                assert images is not None
+                found = torch.tensor(fit_classifier(name, images).predict(faces.images[probes]))
+                seconds = time.perf_counter() - started
+            tallies[name].append(Tally(found == faces.subject[probes], faces.subset[probes], seconds))
     return tallies
 
 
-class _Gallery(NamedTuple):
-    """``photos`` of ``people``; ``rows``, these and their exemplars, of ``owners``; the images' ``size`` and the probes' ``shift``."""
-
-    photos: Tensor
-    people: list[int]
-    rows: Tensor
-    owners: list[int]
-    size: tuple[int, int]
-    shift: int
-
-
-def _fitted(name: str, data: _Gallery) -> Classifier:
-    """The classifier ``name``, fitted."""
-    if name in BASELINES:
-        if name == "sface":
-            return NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(*data.size))).fit(data.photos, data.people)
-        many = name == "fisherfaces"  # needs more than one image a person
-        return OpenCVClassifier(name).fit(data.rows if many else data.photos, data.owners if many else data.people)
-    base, photometric = _split_name(name)
-    normalizer, shift = make_normalizer(photometric), data.shift
-    photo = NearestNeighborClassifier("cosine" if photometric else "l2", normalizer=normalizer, shift=shift)
-    if base == "nearest_neighbor":
-        return photo.fit(data.photos, data.people)
-    if base == "nearest_neighbor+exemplars":
-        return NearestNeighborClassifier(normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
-    if base == "global_pca":
-        return GlobalPCAClassifier(40, normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
-    if base.startswith("gaussian"):
-        components = 3 if base == "gaussian_mixture_9" else 1
-        return GaussianClassifier(components, 9, normalizer=normalizer, shift=shift).fit(data.rows, data.owners)
-    subspaces = IndividualPCAClassifier(None if base == "individual_pca" else 9, normalizer=normalizer, shift=shift)
-    subspaces.fit(data.rows, data.owners)
-    return SumClassifier([photo.fit(data.photos, data.people), subspaces]) if base.endswith("+photo") else subspaces
+def _score_tables(
+    faces: FaceImages, galleries: list[dict[int, int]], relighter: StatisticalRelighter, classifiers: list[str], how: Enrolment
+) -> dict[str, tuple[Tensor, float]]:
+    """Scores of all M images for every training image in ``galleries``, ``(M, people, lights)``, and seconds a comparison, by name."""
+    wanted: dict[int, set[int]] = defaultdict(set)
+    for gallery in galleries:
+        for person, light in gallery.items():
+            wanted[light].add(person)
+    shape = len(faces.images), len(faces.names), len(faces.lights)
+    tables = {name: torch.full(shape, -torch.inf) for name in classifiers}
+    seconds: dict[str, float] = defaultdict(float)
+    views: dict[str, list[Tensor]] = {}
+    for light, people in wanted.items() if classifiers else ():
+        images = _enroll(faces, dict.fromkeys(sorted(people), light), relighter, how)
+        for name in classifiers:
+            classifier = fit_classifier(name, images)
+            if photometric(name) not in views:
+                views[photometric(name)] = list(classifier.views(faces.images))
+            started = time.perf_counter()
+            scores = classifier.compare(views[photometric(name)])
+            seconds[name] += time.perf_counter() - started
+            tables[name][:, torch.tensor(classifier.classes_), light] = scores
+    compared = shape[0] * sum(len(people) for people in wanted.values())
+    return {name: (table, seconds[name] / compared) for name, table in tables.items()}
 
 
-def _split_name(name: str) -> tuple[str, str | None]:
-    for suffix in ("tan_triggs", "weber", "unit"):
-        if name.endswith("+" + suffix):
-            name = name.removesuffix("+" + suffix)
-            break
-    else:
-        suffix = ""
-    if name not in CLASSIFIERS:
-        raise ValueError(f"classifier: expected one of {', '.join(CLASSIFIERS)} (+tan_triggs, +weber, +unit), got {name!r}")
-    return name, suffix or None
+def _enroll(faces: FaceImages, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment) -> GalleryImages:
+    """Training images and their exemplars."""
+    images, _ = to_grid(faces)
+    photos = torch.stack([images[person, light] for person, light in gallery.items()])
+    given = None if how.estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
+    posterior = relighter.condition(photos[:, None], given, draws=8, register=how.register)
+    lights, _ = exemplar_lights(how.exemplars)
+    relit = synthesize(posterior, lights)
+    return GalleryImages(photos, list(gallery), relit, keep_detail(relit, photos, 1.0).clamp_max(1), how.shift)
