@@ -33,6 +33,7 @@ def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
         ValueError: shapes that do not fit, or a strength out of range.
 
     Example:
+        >>> import torch
         >>> photo = torch.rand(2, 48, 42)
         >>> keep_detail(torch.rand(2, 5, 48, 42), photo).shape
         torch.Size([2, 5, 48, 42])

@@ -11,6 +11,7 @@ from kornia.metrics import ssim
 from torch import Tensor
 
 from facerelight.bootstrap.dataset import FaceImages, to_grid
+from facerelight.detail import keep_detail
 from facerelight.light_likelihood import LikelihoodIlluminationEstimator
 from facerelight.lights import angular_distance
 from facerelight.relighter import StatisticalRelighter
@@ -117,6 +118,7 @@ def evaluate_folds(
     new_lights: bool = False,
     estimated: bool = False,
     register: bool = False,
+    detail: float = 0.0,
 ) -> tuple[dict[str, dict[str, Scores]], dict[str, float]]:
     """Protocols **yale-relight** and **yale-relight-newlights**.
 
@@ -130,6 +132,7 @@ def evaluate_folds(
         new_lights: learn without the lights that are then asked for.
         estimated: estimate the input's light instead of taking its label.
         register: find where each face lies beside the model's.
+        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
 
     Returns:
         Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light estimation.
@@ -161,7 +164,7 @@ def evaluate_folds(
                     given = None if estimated else faces.lights[source][None]
                     image = images[person, source][None, None]
                     posterior = relighter.condition(image, given, register=register)
-                    results = {covariance: posterior.mean(faces.lights[index])[0]}
+                    results = {covariance: keep_detail(posterior.mean(faces.lights[index])[0], image[0, 0], detail)}
                     if covariance == covariances[0]:
                         results |= baseline_images(mean, image[0, 0], source, index)
                     for name, relit in results.items():

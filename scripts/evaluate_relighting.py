@@ -55,6 +55,7 @@ def main() -> int:
     parser.add_argument(
         "--registration", choices=["affine", "none"], default=None, help="of people and inputs; default: affine, none with synthetic statistics"
     )
+    parser.add_argument("--detail", type=float, default=0.5, help="how much of the input's fine detail relit images keep; 0: the bare model")
     parser.add_argument("--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain")
     parser.add_argument("--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted")
     parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes")
@@ -101,7 +102,7 @@ def main() -> int:
 
     models = ["pixel", "face"] if args.covariance == "face" else ["pixel"]
     new_lights, estimated = args.protocol.endswith("newlights"), args.source_light == "estimated"
-    scores, light_error = evaluate_folds(faces, args.folds, make, models, new_lights, estimated, register)
+    scores, light_error = evaluate_folds(faces, args.folds, make, models, new_lights, estimated, register, args.detail)
     report = {
         "protocol": args.protocol,
         "covariance": args.covariance,
@@ -110,6 +111,7 @@ def main() -> int:
         "source_light": args.source_light,
         "exposure": args.exposure,
         "registration": "affine" if register else "none",
+        "detail": args.detail,
         "resolution": [args.height, args.width],
         "folds": args.folds,
         "kernel_width_deg": round(sum(widths) / len(widths), 2),

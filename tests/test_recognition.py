@@ -25,10 +25,11 @@ CLASSIFIERS = [
     lambda **k: GlobalPCAClassifier(5, **k),
     lambda **k: IndividualPCAClassifier(3, **k),
     IndividualPCAClassifier,
+    lambda **k: IndividualPCAClassifier(3, metric="cosine", **k),
     GaussianClassifier,
     lambda **k: GaussianClassifier(2, 3, **k),
 ]
-NAMES = ["nearest", "cosine", "l0", "global", "individual3", "individual", "gaussian", "mixture"]
+NAMES = ["nearest", "cosine", "l0", "global", "individual3", "individual", "individual cosine", "gaussian", "mixture"]
 
 
 def faces(seed: int = 0) -> tuple[torch.Tensor, list[str]]:
@@ -94,6 +95,28 @@ def test_individual_pca_equals_scikit_learn() -> None:
         assert torch.allclose(classifier.reconstruction_error(probes)[:, index].double(), torch.from_numpy(error), rtol=1e-3)
 
 
+def test_cosine_of_individual_subspaces() -> None:
+    """Against projections written out in float64; neither a probe's contrast nor a person's matters."""
+    images, labels = faces()
+    classifier = IndividualPCAClassifier(3, metric="cosine").fit(images, labels)
+    probes = torch.rand(6, 20, 18)
+    scores = classifier.decision_function(probes)
+    for person in range(4):
+        basis, mean = classifier.bases[person].double(), classifier.means[person].double()
+        left, own = ((x - (x @ basis) @ basis.T) for x in (probes.flatten(1).double(), mean))
+        expected = (left @ own) / (left.norm(dim=1) * own.norm())
+        assert torch.allclose(scores[:, person].double(), expected, atol=1e-5)
+    assert torch.allclose(classifier.decision_function(3 * probes), scores, atol=1e-5)
+    dimmed = IndividualPCAClassifier(3, metric="cosine").fit(
+        images * torch.tensor([0.1 if x == "ann" else 1.0 for x in labels])[:, None, None], labels
+    )
+    assert torch.allclose(dimmed.decision_function(probes), scores, atol=1e-4)
+    flat = IndividualPCAClassifier(3, metric="cosine").fit(torch.zeros(4, 8, 8), ["a", "a", "b", "b"])
+    assert torch.isfinite(flat.decision_function(torch.rand(2, 8, 8))).all()
+    with pytest.raises(ValueError, match="metric"):
+        IndividualPCAClassifier(metric="manhattan")
+
+
 def test_one_percent_rule() -> None:
     rows = torch.randn(40, 300, generator=torch.Generator().manual_seed(0)) * torch.logspace(0, -3, 40)[:, None]
     space = principal_subspace(rows)
@@ -155,7 +178,7 @@ def test_synthesis_recognises_people_under_any_light(statistics: FaceStatistics,
     assert relit > single + 0.1
 
 
-@pytest.mark.parametrize("normalizer", [TanTriggs(), WeberFaces()], ids=["tan_triggs", "weber"])
+@pytest.mark.parametrize("normalizer", [TanTriggs(), WeberFaces(), WeberFaces(sigma=0.5)], ids=["tan_triggs", "weber", "weber_fine"])
 def test_photometric_normalisation_forgets_brightness(normalizer: torch.nn.Module) -> None:
     images = torch.rand(3, 40, 36, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
     ramp = torch.linspace(0.7, 1.3, 36)
