@@ -90,13 +90,14 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
     }
 
 
-def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str) -> Tensor:
+def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str, detail: float = 0.0) -> Tensor:
     """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none; whole-face model.
 
     Args:
         statistics: of other people, or of rendered heads.
         faces: the data.
         case: "front" or "side", the input's light.
+        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
     """
     images, valid = to_grid(faces)
     source = _light_index(faces, SOURCES[case])
@@ -105,7 +106,9 @@ def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str) 
     for person in valid[:, source].nonzero()[:, 0].tolist():
         targets = valid[person].clone()
         targets[source] = False
-        relit = relighter.condition(images[person, source][None, None], faces.lights[source][None]).mean(faces.lights[targets])[0]
+        photo = images[person, source]
+        relit = relighter.condition(photo[None, None], faces.lights[source][None]).mean(faces.lights[targets])[0]
+        relit = keep_detail(relit, photo, detail)
         errors[person, targets] = ((relit.clamp(0, 1) - images[person, targets]) * 255).square().mean((1, 2)).sqrt()
     return errors
 

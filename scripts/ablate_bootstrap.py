@@ -83,13 +83,13 @@ def noisy(images: torch.Tensor) -> torch.Tensor:
     return (images + NOISE * torch.randn(images.shape, generator=torch.Generator().manual_seed(0))).clamp(0, 1)
 
 
-def measure(images: torch.Tensor, faces: FaceImages, rank: int) -> tuple[float, float, float]:
+def measure(images: torch.Tensor, faces: FaceImages, rank: int, detail: float) -> tuple[float, float, float]:
     """RMSE front, RMSE side, rank-1 accuracy in percent."""
     statistics = FaceStatistics.fit(images, faces.lights, None, face_rank=rank, brightness=True)
-    front, side = (float(relighting_errors(statistics, faces, case).nanmean()) for case in ("front", "side"))
+    front, side = (float(relighting_errors(statistics, faces, case, detail).nanmean()) for case in ("front", "side"))
     gallery = next(training_lights(faces, list(range(len(faces.names))), "front", 1))
     relighter = StatisticalRelighter(statistics, "face")
-    name = "individual_pca_9+weber"
+    name = "individual_pca_9+detail+cosine+weber" if detail else "individual_pca_9+weber"
     right = evaluate_galleries(faces, [gallery], relighter, [name])[name][0].right
     return front, side, 100 * float(right.float().mean())
 
@@ -110,8 +110,8 @@ def main() -> None:
     lines = ["| added | RMSE front | RMSE side | rank-1 |", "|---|---|---|---|"]
     print("\n".join(lines))
 
-    def row(name: str, images: torch.Tensor) -> None:
-        front, side, accuracy = measure(images, faces, min(40, len(images) // 2))
+    def row(name: str, images: torch.Tensor, detail: float = 0.0) -> None:
+        front, side, accuracy = measure(images, faces, min(40, len(images) // 2), detail)
         lines.append(f"| {name} | {front:.2f} | {side:.2f} | {accuracy:.1f} |")
         print(lines[-1], flush=True)
 
@@ -123,6 +123,7 @@ def main() -> None:
         for name, domain, bare in worlds(Domain()):
             images = rendered(replace(config, domain=domain), bare)
             row(name, images)
+        row("the photograph's fine detail kept", images, 0.5)
         row("(not kept) sensor noise, saturation", noisy(images))
         row("(not kept) motion between lights", shaken(images))
         row("half as many heads", images[::2])
