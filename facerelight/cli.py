@@ -63,7 +63,7 @@ def _recognize_parser() -> ArgumentParser:
     parser.add_argument("gallery", type=str, help="gallery file (.safetensors) to write or to read")
     parser.add_argument("--enroll", type=str | None, default=None, help="folder with NAME.jpg or NAME/*.jpg: make the gallery from it")
     parser.add_argument("--photos", type=str, nargs="*", default=[], help="photos to identify")
-    parser.add_argument("--reject", type=float | None, default=None, help="largest relative error that is not a stranger")
+    parser.add_argument("--reject", type=float | None, default=None, help="largest error (1 - cosine) that is not a stranger")
     parser.add_argument("--quality", type=str, default="standard", choices=list(QUALITIES), help="of the statistics: how many heads, how fine")
     parser.add_argument("--statistics", type=str | None, default=None, help="folder of trained statistics (default: the user's cache)")
     parser.add_argument("--json", action="store_true", help="print the answers as JSON")
@@ -176,7 +176,7 @@ def _recognize(arguments: Namespace) -> int:
     else:
         gallery = Gallery.load(arguments.gallery, relighter)
     if arguments.reject is not None:
-        gallery.classifier.threshold_ = -arguments.reject
+        gallery.classifier.threshold_ = 1 - arguments.reject
     answers = {photo: gallery.identify(photo) for photo in arguments.photos}
     if arguments.json:
         print(json.dumps({"enrolled": gallery.classifier.classes_, "answers": {k: v._asdict() for k, v in answers.items()}}))

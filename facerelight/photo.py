@@ -85,6 +85,13 @@ def relight(
     return Image.fromarray(relit) if isinstance(photo, Image.Image) else relit
 
 
+def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
+    """The crop that a relighter's statistics are of."""
+    height, width = relighter.statistics.size
+    margin = float(relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
+    return CropFrame(height, width, margin)
+
+
 class PhotoRelighter:
     """One photo, conditioned once and rendered under as many lights as wanted.
 
@@ -113,9 +120,7 @@ class PhotoRelighter:
         quality: Quality = "standard",
     ) -> None:
         self.relighter = relighter or load_relighter(quality)
-        height, width = self.relighter.statistics.size
-        margin = float(self.relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
-        self.frame = CropFrame(height, width, margin)
+        self.frame = crop_frame(self.relighter)
         self.coded, self.landmarks, self.matrix, crop = self._align(photo, landmarks)
         self.linear = kornia.color.rgb_to_linear_rgb(self.coded)
         self.luminance, self.mask = _luminance(crop), face_mask(crop[0], self.frame)

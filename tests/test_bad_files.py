@@ -200,7 +200,7 @@ def bad_meshes() -> dict[str, tuple[bytes, str | None]]:
 def bad_galleries() -> dict[str, tuple[bytes, str]]:
     from safetensors.torch import save
 
-    notes = {"format": "facerelight-gallery", "version": 1, "names": ["a"], "photometric": "weber", "dimension": 2, "reject": None}
+    notes = {"format": "facerelight-gallery", "version": 2, "names": ["a"], "photometric": "weber", "dimension": 2, "shift": 0, "reject": None}
     good = save({"means": torch.zeros(1, 2016), "bases": torch.zeros(1, 2016, 2), "dimensions": torch.tensor([2])})
     text = json.dumps(notes)
     return {

@@ -13,7 +13,7 @@ from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier, SumClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
-from facerelight.recognition.photometric import TanTriggs, WeberFaces, make_normalizer
+from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
@@ -189,6 +189,22 @@ def test_photometric_normalisation_forgets_brightness(normalizer: torch.nn.Modul
     assert torch.allclose(normalizer(images).norm(dim=(1, 2)), torch.ones(3), atol=1e-4)
     with pytest.raises(ValueError, match="expected one of"):
         make_normalizer("sepia")
+
+
+def test_what_lies_outside_the_mask_does_not_matter() -> None:
+    """Beyond the reach of the filter; and the mask's edge itself is no feature."""
+    images = torch.rand(2, 40, 36, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
+    mask = torch.zeros(40, 36)
+    mask[8:32, 8:28] = 1
+    inside = Inside(WeberFaces(), mask)
+    other = images.clone()
+    other[:, :2], other[:, :, 34:] = 0, 1
+    assert torch.allclose(inside(images), inside(other), atol=1e-6)
+    assert torch.allclose(inside(images).norm(dim=(1, 2)), torch.ones(2), atol=1e-5)
+    assert (inside(images)[:, mask == 0] == 0).all()
+    flat = torch.full((1, 40, 36), 0.5)
+    assert float(inside(flat).abs().max()) < 1e-3
+    assert set(dict(inside.named_buffers())) == {"mask"}
 
 
 def blobs(seed: int, people: int = 4, each: int = 12) -> tuple[torch.Tensor, list[int]]:

@@ -9,40 +9,44 @@ from typing import NamedTuple
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import Tensor
 
+from facerelight.detail import keep_detail
 from facerelight.files import read_photo
-from facerelight.photo import PhotoRelighter
+from facerelight.photo import PhotoRelighter, crop_frame
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
-from facerelight.recognition.photometric import make_normalizer
+from facerelight.recognition.photometric import Inside, make_normalizer
 from facerelight.recognition.subspaces import Subspace
 from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["Gallery", "Identification"]
 
-GALLERY_VERSION = 1
+GALLERY_VERSION = 2
+FACE = 0.95  # of the outline; hair and background are left out of the comparison
 
 
 class Identification(NamedTuple):
-    """``name``, None for a stranger; ``errors``: relative reconstruction error by name, smallest first."""
+    """``name``, None for a stranger; ``errors``: 1 minus the cosine of :class:`IndividualPCAClassifier` by name, smallest first."""
 
     name: str | None
     errors: dict[str, float]
 
 
 class Gallery:
-    """Individual PCA subspaces (6.1) of relit photos, one a person.
+    """Individual PCA subspaces (6.1) of relit photos that keep their fine detail, one a person.
 
     Args:
         relighter: renders each photo under the lights of :func:`exemplar_lights`.
-        photometric: "weber", "tan_triggs" or "none".
+        photometric: one of :data:`facerelight.recognition.photometric.NORMALIZERS`.
         dimension: of each subspace.
+        shift: pixels of the crop by which landmarks may be off.
     """
 
-    def __init__(self, relighter: StatisticalRelighter, photometric: str = "weber", dimension: int = 9) -> None:
+    def __init__(self, relighter: StatisticalRelighter, photometric: str = "weber_fine", dimension: int = 9, shift: int = 2) -> None:
         self.relighter, self.photometric, self.dimension = relighter, photometric, dimension
-        self.classifier = IndividualPCAClassifier(dimension, normalizer=make_normalizer(photometric))
+        face = (crop_frame(relighter).oval() < FACE).float()
+        normalizer = Inside(make_normalizer(photometric), face)
+        self.classifier = IndividualPCAClassifier(dimension, normalizer=normalizer, metric="cosine", shift=shift)
 
     def enroll(self, name: str, photos: list[Path]) -> None:
         """Add a person from one or more photos, or replace them."""
@@ -50,16 +54,17 @@ class Gallery:
         exemplars = []
         for path in photos:
             session = self._open(path)
-            exemplars += [self._inside(session, session.crops(lights)), self._inside(session, session.luminance[None])]
+            relit = keep_detail(session.crops(lights), session.luminance, 1.0)
+            exemplars += [relit, session.luminance[None]]
         self.classifier.partial_fit(torch.cat(exemplars), name)
 
     def identify(self, photo: str | Path) -> Identification:
         """Who is in ``photo``."""
         session = self._open(Path(photo))
-        image = self._inside(session, session.luminance[None])
+        image = session.luminance[None]
         scores = self.classifier.decision_function(image)[0]
         names = [str(name) for name in self.classifier.classes_ or []]
-        errors = sorted(zip((-scores).tolist(), names, strict=True))
+        errors = sorted(zip((1 - scores).tolist(), names, strict=True))
         best = self.classifier.predict(image)[0]
         return Identification(None if best is None else str(best), {name: round(error, 5) for error, name in errors})
 
@@ -68,11 +73,6 @@ class Gallery:
             return PhotoRelighter(read_photo(path).rgb, None, self.relighter)
         except RuntimeError as error:
             raise ValueError(f"{path}: {error}") from error
-
-    @staticmethod
-    def _inside(session: PhotoRelighter, images: Tensor) -> Tensor:
-        """Leave hair and background out of the comparison."""
-        return images * (session.frame.oval() < 0.95)
 
     def save(self, path: str | Path) -> None:
         """Write ``path`` (safetensors) and beside it the names, as ``.json``."""
@@ -86,6 +86,7 @@ class Gallery:
             "names": state.classes_,
             "photometric": self.photometric,
             "dimension": self.dimension,
+            "shift": self.classifier.shift,
             "reject": state.threshold_,
         }
         partial = path.with_name(path.name + ".part")
@@ -104,7 +105,7 @@ class Gallery:
             tensors = load_file(path)
             if header["format"] != "facerelight-gallery" or header["version"] != GALLERY_VERSION:
                 raise ValueError(f"expected version {GALLERY_VERSION}, got {header.get('version')}")
-            gallery = cls(relighter, header["photometric"], header["dimension"])
+            gallery = cls(relighter, header["photometric"], header["dimension"], header["shift"])
             state = gallery.classifier
             means, bases, sizes = (tensors[name] for name in ("means", "bases", "dimensions"))
             state.threshold_ = header["reject"]

@@ -10,7 +10,11 @@ from torch import Tensor, nn
 
 from facerelight.filters import gaussian_blur
 
-__all__ = ["NORMALIZERS", "TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
+__all__ = ["NORMALIZERS", "Inside", "TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
+
+
+def _unit_length(images: Tensor) -> Tensor:
+    return images / torch.linalg.vector_norm(images, dim=(1, 2), keepdim=True).clamp_min(1e-12)
 
 
 class TanTriggs(nn.Module):
@@ -39,7 +43,7 @@ class TanTriggs(nn.Module):
             mean = band.abs().clamp_max(limit).pow(self.alpha).mean((1, 2), keepdim=True).clamp_min(1e-12) ** (1 / self.alpha)
             band = band / mean.clamp_min(1e-12)
         band = self.tau * torch.tanh(band / self.tau)
-        return band / torch.linalg.vector_norm(band, dim=(1, 2), keepdim=True).clamp_min(1e-12)
+        return _unit_length(band)
 
 
 class WeberFaces(nn.Module):
@@ -61,15 +65,35 @@ class WeberFaces(nn.Module):
         smooth = gaussian_blur(images.clamp_min(0), self.sigma) + 2 / 255
         around = nn.functional.avg_pool2d(nn.functional.pad(smooth[:, None], (1, 1, 1, 1), mode="replicate"), 3, 1)[:, 0]
         contrast = torch.atan(self.gain * 9 * (smooth - around) / smooth)
-        return contrast / torch.linalg.vector_norm(contrast, dim=(1, 2), keepdim=True).clamp_min(1e-12)
+        return _unit_length(contrast)
+
+
+class Inside(nn.Module):
+    """Another normalisation, and then only what lies inside a mask: its edge is no feature that all faces share.
+
+    Args:
+        normalizer: applied to whole images.
+        mask: ``(H, W)``, 1 inside, 0 where hair and background are.
+
+    Shape: ``(M, H, W)`` to ``(M, H, W)``, each image then of unit length.
+    """
+
+    mask: Tensor
+
+    def __init__(self, normalizer: nn.Module, mask: Tensor) -> None:
+        super().__init__()
+        self.normalizer = normalizer
+        self.register_buffer("mask", mask)
+
+    def forward(self, images: Tensor) -> Tensor:
+        return _unit_length(self.normalizer(images) * self.mask)
 
 
 class UnitLength(nn.Module):
     """Takes away exposure alone: each image ``(M, H, W)`` is brought to unit length."""
 
     def forward(self, images: Tensor) -> Tensor:
-        images = images.clamp_min(0)
-        return images / torch.linalg.vector_norm(images, dim=(1, 2), keepdim=True).clamp_min(1e-12)
+        return _unit_length(images.clamp_min(0))
 
 
 NORMALIZERS: dict[str, Callable[[], nn.Module]] = {
