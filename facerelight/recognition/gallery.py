@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,19 +50,24 @@ class Gallery:
         self.classifier = IndividualPCAClassifier(dimension, normalizer=normalizer, metric="cosine", shift=shift)
 
     def enroll(self, name: str, photos: list[Path]) -> None:
-        """Add a person from one or more photos, or replace them."""
+        """Add a person from one or more photos, or replace them; their landmarks are found."""
+        self.add(name, [self._open(path) for path in photos])
+
+    def add(self, name: str, photos: Sequence[PhotoRelighter]) -> None:
+        """:meth:`enroll` for photos that are opened already, with landmarks given, say."""
         lights, _ = exemplar_lights()
         exemplars = []
-        for path in photos:
-            session = self._open(path)
-            relit = keep_detail(session.crops(lights), session.luminance, 1.0)
-            exemplars += [relit, session.luminance[None]]
+        for photo in photos:
+            exemplars += [keep_detail(photo.crops(lights), photo.luminance, 1.0), photo.luminance[None]]
         self.classifier.partial_fit(torch.cat(exemplars), name)
 
     def identify(self, photo: str | Path) -> Identification:
-        """Who is in ``photo``."""
-        session = self._open(Path(photo))
-        image = session.luminance[None]
+        """Who is in ``photo``; its landmarks are found."""
+        return self.compare(self._open(Path(photo)))
+
+    def compare(self, photo: PhotoRelighter) -> Identification:
+        """:meth:`identify` for a photo that is opened already."""
+        image = photo.luminance[None]
         scores = self.classifier.decision_function(image)[0]
         names = [str(name) for name in self.classifier.classes_ or []]
         errors = sorted(zip((1 - scores).tolist(), names, strict=True))
