@@ -25,7 +25,7 @@ from facerelight.lights import angles_from_light, light_from_angles
 from facerelight.mle import MaximumLikelihood
 from facerelight.relighter import METHODS, Method, StatisticalRelighter
 
-__all__ = ["PhotoRelighter", "load_relighter", "relight"]
+__all__ = ["PhotoRelighter", "crop_frame", "load_relighter", "relight"]
 
 DARK = 0.05  # linear radiance below which a ratio would only amplify noise
 LARGEST_RATIO = 4.0

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from kornia.color import linear_rgb_to_rgb
 
 from facerelight.alignment import CANONICAL_LANDMARKS
 from facerelight.bootstrap.dataset import FaceImages, load_yale, to_grid
@@ -27,9 +28,8 @@ PROBES = ((10, 0), (35, 15), (-50, 0), (-20, -40), (50, -40), (70, 0))
 
 def as_photo(radiance: torch.Tensor) -> np.ndarray:
     """Linear ``(H, W)`` to sRGB ``(H', W', 3)`` uint8 with a border of repeated pixels."""
-    linear = np.pad(radiance.clamp(0, 1).numpy(), BORDER, mode="edge")
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return (coded * 255).round().astype(np.uint8)[..., None].repeat(3, axis=2)
+    coded = linear_rgb_to_rgb(radiance.clamp(0, 1).expand(3, -1, -1)).permute(1, 2, 0)
+    return np.pad((coded * 255).round().byte().numpy(), ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), mode="edge")
 
 
 def rank_one(faces: FaceImages, relighter: StatisticalRelighter, photometric: str, noise: float | None) -> tuple[float, int, int]:

@@ -2,7 +2,6 @@ import pytest
 import torch
 
 from facerelight.bootstrap.dataset import FaceImages
-from facerelight.detail import keep_detail
 from facerelight.recognition.evaluation import Enrolment, evaluate_galleries, training_lights
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.methods import GalleryImages, fit_classifier, is_pairwise
@@ -44,10 +43,9 @@ def test_enrolling_once_equals_fitting_every_gallery(faces: FaceImages, statisti
         photos = torch.stack([faces.images[(faces.subject == person) & (faces.light == light)][0] for person, light in gallery.items()])
         given = torch.stack([faces.lights[light][None] for light in gallery.values()])
         relit = synthesize(relighter.condition(photos[:, None], given), exemplar_lights()[0])
-        detailed = keep_detail(relit, photos, 1.0).clamp_max(1)
         for name in NAMES:
             tally = tallies[name][index]
-            classifier = fit_classifier(name, GalleryImages(photos, list(gallery), relit, detailed, how.shift))
+            classifier = fit_classifier(name, GalleryImages(photos, list(gallery), relit, how.shift))
             probes = [
                 i for i in range(len(faces.images)) if int(faces.subject[i]) in gallery and gallery[int(faces.subject[i])] != int(faces.light[i])
             ]

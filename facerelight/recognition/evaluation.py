@@ -13,7 +13,6 @@ from torch import Tensor
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.detail import keep_detail
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
 from facerelight.recognition.methods import GalleryImages, fit_classifier, is_pairwise, photometric
 from facerelight.relighter import StatisticalRelighter
@@ -111,18 +110,19 @@ def evaluate_galleries(
         enrolment: how; default: known lights, no shifts, no registration.
     """
     how = enrolment or Enrolment()
-    tables = _score_tables(faces, galleries, relighter, [name for name in classifiers if is_pairwise(name)], how)
+    grid, _ = to_grid(faces)
+    tables = _score_tables(faces, grid, galleries, relighter, [name for name in classifiers if is_pairwise(name)], how)
     tallies: dict[str, list[Tally]] = {name: [] for name in classifiers}
     for gallery in galleries:
         people, lights = torch.tensor(list(gallery)), torch.tensor(list(gallery.values()))
         light_of = torch.full((len(faces.names),), -1).index_copy_(0, people, lights)
         probes = (light_of[faces.subject] >= 0) & (light_of[faces.subject] != faces.light)
-        images = _enroll(faces, gallery, relighter, how) if len(tables) < len(classifiers) else None
+        images = _enroll(faces, grid, gallery, relighter, how) if len(tables) < len(classifiers) else None
         for name in classifiers:
             started = time.perf_counter()
             if name in tables:
                 scores, rate = tables[name]
-                found = people[scores[probes][:, people, lights].argmax(1)]
+                found = people[scores[:, people, lights][probes].argmax(1)]
                 seconds = rate * len(people) * int(probes.sum())
             else:
                 assert images is not None
@@ -133,7 +133,12 @@ def evaluate_galleries(
 
 
 def _score_tables(
-    faces: FaceImages, galleries: list[dict[int, int]], relighter: StatisticalRelighter, classifiers: list[str], how: Enrolment
+    faces: FaceImages,
+    grid: Tensor,
+    galleries: list[dict[int, int]],
+    relighter: StatisticalRelighter,
+    classifiers: list[str],
+    how: Enrolment,
 ) -> dict[str, tuple[Tensor, float]]:
     """Scores of all M images for every training image in ``galleries``, ``(M, people, lights)``, and seconds a comparison, by name."""
     wanted: dict[int, set[int]] = defaultdict(set)
@@ -145,7 +150,7 @@ def _score_tables(
     seconds: dict[str, float] = defaultdict(float)
     views: dict[str, list[Tensor]] = {}
     for light, people in wanted.items() if classifiers else ():
-        images = _enroll(faces, dict.fromkeys(sorted(people), light), relighter, how)
+        images = _enroll(faces, grid, dict.fromkeys(sorted(people), light), relighter, how)
         for name in classifiers:
             classifier = fit_classifier(name, images)
             if photometric(name) not in views:
@@ -158,12 +163,11 @@ def _score_tables(
     return {name: (table, seconds[name] / compared) for name, table in tables.items()}
 
 
-def _enroll(faces: FaceImages, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment) -> GalleryImages:
-    """Training images and their exemplars."""
-    images, _ = to_grid(faces)
-    photos = torch.stack([images[person, light] for person, light in gallery.items()])
+def _enroll(faces: FaceImages, grid: Tensor, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment) -> GalleryImages:
+    """Training images, of all ``grid (people, lights, H, W)``, and their exemplars."""
+    photos = torch.stack([grid[person, light] for person, light in gallery.items()])
     given = None if how.estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
     posterior = relighter.condition(photos[:, None], given, draws=8, register=how.register)
     lights, _ = exemplar_lights(how.exemplars)
     relit = synthesize(posterior, lights)
-    return GalleryImages(photos, list(gallery), relit, keep_detail(relit, photos, 1.0).clamp_max(1), how.shift)
+    return GalleryImages(photos, list(gallery), relit, how.shift)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 from facerelight.alignment import CropFrame
+from facerelight.detail import keep_detail
 from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import (
@@ -24,7 +25,7 @@ from facerelight.recognition.classifiers import (
 )
 from facerelight.recognition.photometric import NORMALIZERS, make_normalizer
 
-__all__ = ["BASELINES", "CLASSIFIERS", "METHODS", "GalleryImages", "fit_classifier", "is_pairwise"]
+__all__ = ["BASELINES", "CLASSIFIERS", "METHODS", "GalleryImages", "fit_classifier", "is_pairwise", "photometric"]
 
 METHODS = ("nearest_neighbor", "global_pca", "individual_pca", "individual_pca_9", "gaussian_9", "gaussian_mixture_9")
 ADDED = ("exemplars", "detail", "cosine", "photo")
@@ -46,14 +47,12 @@ PAIRWISE = ("nearest_neighbor", "individual_pca", "individual_pca_9", "lbph", "s
 class GalleryImages(NamedTuple):
     """What a gallery is made of: Q exemplars of each of N people.
 
-    ``photos (N, H, W)`` of ``people``; ``relit`` and ``detailed (N, Q, H, W)``, exemplars without and with the photograph's detail; ``shift``
-    in pixels by which probes may lie off.
+    ``photos (N, H, W)`` of ``people``; ``relit (N, Q, H, W)``, exemplars; ``shift`` in pixels by which probes may lie off.
     """
 
     photos: Tensor
     people: list[int]
     relit: Tensor
-    detailed: Tensor
     shift: int
 
     def rows(self, exemplars: Tensor) -> tuple[Tensor, list[int]]:
@@ -93,7 +92,8 @@ def fit_classifier(name: str, gallery: GalleryImages) -> Classifier:
     nearest = NearestNeighborClassifier("cosine" if normalizer_name != "none" else "l2", normalizer=normalizer, shift=shift)
     if base == "nearest_neighbor" and "exemplars" not in added:
         return nearest.fit(photos, people)
-    rows, owners = gallery.rows(gallery.detailed if "detail" in added else gallery.relit)
+    exemplars = keep_detail(gallery.relit, photos, 1.0).clamp_max(1) if "detail" in added else gallery.relit
+    rows, owners = gallery.rows(exemplars)
     if base == "nearest_neighbor":
         return NearestNeighborClassifier(normalizer=normalizer, shift=shift).fit(rows, owners)
     if base == "global_pca":
