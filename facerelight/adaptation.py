@@ -16,10 +16,10 @@ import torch
 from torch import Tensor
 
 from facerelight.alignment import CANONICAL_LANDMARKS, CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
-from facerelight.files import find_people, read_photo
 from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.landmarks import find_landmarks
 from facerelight.lights import light_from_angles
+from facerelight.photo.files import find_people, read_photo
+from facerelight.photo.landmarks import find_landmarks
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 

@@ -129,8 +129,8 @@ def _config(arguments: Namespace) -> TrainConfig:
 
 
 def _relight(arguments: Namespace) -> int:
-    from facerelight.files import read_photo, write_photo
     from facerelight.photo import PhotoRelighter
+    from facerelight.photo.files import read_photo, write_photo
     from facerelight.relighter import StatisticalRelighter
 
     lights = _lights(arguments.azimuth, arguments.elevation)
@@ -160,7 +160,7 @@ def _relight(arguments: Namespace) -> int:
 
 
 def _recognize(arguments: Namespace) -> int:
-    from facerelight.files import find_people
+    from facerelight.photo.files import find_people
     from facerelight.recognition.gallery import Gallery
     from facerelight.relighter import StatisticalRelighter
 
@@ -219,7 +219,7 @@ def _write_map(path: str, std: object) -> None:
     """A grey picture of a map, white at its largest value."""
     import numpy as np
 
-    from facerelight.files import write_photo
+    from facerelight.photo.files import write_photo
 
     values = np.asarray(std)
     grey = (values / max(float(values.max()), 1e-12) * 255).round().astype(np.uint8)

@@ -20,7 +20,7 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 
 from facerelight.cli import main
-from facerelight.files import read_photo
+from facerelight.photo.files import read_photo
 from facerelight.statistics import FaceStatistics
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"

@@ -7,10 +7,10 @@ import torch
 from PIL import Image
 
 from facerelight.cli import main
-from facerelight.files import read_photo, write_photo
 from facerelight.illumination import fit_soft_light
-from facerelight.landmarks import LandmarksNotFoundError, find_landmarks
 from facerelight.photo import PhotoRelighter, relight
+from facerelight.photo.files import read_photo, write_photo
+from facerelight.photo.landmarks import LandmarksNotFoundError, find_landmarks
 from facerelight.relighter import StatisticalRelighter
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"

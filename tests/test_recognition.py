@@ -7,8 +7,8 @@ from scipy.stats import multivariate_normal
 from sklearn.decomposition import PCA
 
 from facerelight.alignment import CropFrame
-from facerelight.landmarks import find_model
 from facerelight.lights import even_hemisphere
+from facerelight.photo.landmarks import find_model
 from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier, SumClassifier

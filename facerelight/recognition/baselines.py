@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
-from facerelight.landmarks import find_model
+from facerelight.photo.landmarks import find_model
 from facerelight.recognition.classifiers import Classifier
 
 __all__ = ["OpenCVClassifier", "SFaceFeatures"]

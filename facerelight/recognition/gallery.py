@@ -12,8 +12,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from facerelight.detail import keep_detail
-from facerelight.files import read_photo
 from facerelight.photo import PhotoRelighter, crop_frame
+from facerelight.photo.files import read_photo
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
 from facerelight.recognition.photometric import Inside, make_normalizer

@@ -18,11 +18,11 @@ from torch import Tensor
 from facerelight.alignment import CropFrame, fit_similarity, warp_from_crop, warp_to_crop
 from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
-from facerelight.face_mask import face_mask
 from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
-from facerelight.landmarks import find_landmarks
 from facerelight.lights import angles_from_light, light_from_angles
 from facerelight.mle import MaximumLikelihood
+from facerelight.photo.face_mask import face_mask
+from facerelight.photo.landmarks import find_landmarks
 from facerelight.relighter import METHODS, Method, StatisticalRelighter
 
 __all__ = ["PhotoRelighter", "crop_frame", "load_relighter", "relight"]
