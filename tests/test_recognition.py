@@ -8,8 +8,7 @@ from sklearn.decomposition import PCA
 
 from facerelight.alignment import CropFrame
 from facerelight.lights import even_hemisphere
-from facerelight.photo.landmarks import find_model
-from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
+from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures, find_model
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier, SumClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize

