@@ -129,8 +129,8 @@ class PortraitTruth:
         return film(scene * self._matte + backdrop() * (1 - self._matte))[:ROWS]
 
     def case(self, source: str, lamp: Lamp) -> Case:
-        """The photograph under a set-up, well exposed, and the truth: the new lamp as strong as keeps the face's brightness
-        when it stands at the camera."""
+        """The photograph under a set-up, well exposed, and the truth: the new lamp as strong as keeps the face's
+        brightness when it stands at the camera."""
         scene, level = self._face_luminance(*SOURCES[source])
         gain = EXPOSURE[self.tone] / level
         at_camera = self._face_luminance([Lamp(0, 0, lamp.size)], 0.0)[1]
@@ -192,10 +192,10 @@ def portrait_errors(output: np.ndarray, case: Case, regions: Regions) -> dict[st
 
     Returns:
         ``person``, ``face``, ``rest``: CIEDE2000; ``ssim`` of L* in the person; in shade, where the truth has less than
-        half of the photo's luminance: ``shade_C`` mean abs C* error, ``shade_dC`` signed (negative: grey), ``shade_log``
-        signed error of log luminance (positive: too light); ``seam``: error of the gradient of log(out / photo) around
-        the face's outline, an eye distance; ``background``: CIEDE2000 to the photo where nothing should change, before
-        the gain.
+        half of the photo's luminance: ``shade_C`` mean abs C* error, ``shade_dC`` signed (negative: grey),
+        ``shade_log`` signed error of log luminance (positive: too light); ``seam``: error of the gradient of
+        log(out / photo) around the face's outline, an eye distance; ``background``: CIEDE2000 to the photo where
+        nothing should change, before the gain.
     """
     from skimage.color import deltaE_ciede2000, rgb2lab
     from skimage.metrics import structural_similarity

@@ -1,7 +1,7 @@
 """Ground truth for portraits: a scanned head with painted hair and shirt, ray traced under known lamps.
 
-Light adds up and skin scales it channel by channel, so what a lamp does is kept apart from albedo: irradiance by channel
-and the highlight, worked out once for each lamp and turn of the head, and kept on disk.
+Light adds up and skin scales it channel by channel, so what a lamp does is kept apart from albedo: irradiance by
+channel and the highlight, worked out once for each lamp and turn of the head, and kept on disk.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def lamp_points(lamp: Lamp) -> np.ndarray:
-    """A lamp's disc as ``(n, 3)`` unit vectors of equal weight, spread on the plane that touches the sphere at its centre.
+    """A lamp's disc as ``(n, 3)`` unit vectors of equal weight, spread on the plane that touches the sphere there.
 
     Kept apart from :meth:`Lamp.light`, so that the truth stays the same whatever the package does.
     """
@@ -95,6 +95,7 @@ class ScannedHead:
         angle = np.deg2rad(self.yaw)
         cos, sin = np.cos(angle), np.sin(angle)
         self._turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+        self._seen: dict[str, LampImage] = {}
         surface = self._kept("surface", self._trace_surface)
         self.pixels: np.ndarray = surface["pixels"]  # (P,) index in the picture
         self.place, self.normal, self.facet = surface["place"], surface["normal"], surface["facet"]  # (P, 3) each
@@ -187,7 +188,7 @@ class ScannedHead:
         return albedo
 
     def picture(self, values: np.ndarray) -> np.ndarray:
-        """Values of the head's pixels, ``(P, ...)``, on the picture, ``(HEIGHT, WIDTH, ...)``; 0 (False) around the head."""
+        """Values of the head's pixels, ``(P, ...)``, on the picture, ``(HEIGHT, WIDTH, ...)``; 0 or False around it."""
         out = np.zeros((HEIGHT * WIDTH, *values.shape[1:]), bool if values.dtype == bool else np.float32)
         out[self.pixels] = values
         return out.reshape(HEIGHT, WIDTH, *values.shape[1:])
@@ -224,11 +225,14 @@ class ScannedHead:
             lit = self._trace(points[0]).lit if len(points) > 1 else one.lit
             return {"irradiance": irradiance.astype(np.float16), "highlight": highlight.astype(np.float16), "lit": lit}
 
-        kept = self._kept(what, trace)
-        return LampImage(kept["irradiance"].astype(np.float32), kept["highlight"].astype(np.float32), kept["lit"])
+        if what not in self._seen:
+            kept = self._kept(what, trace)
+            irradiance, highlight = (kept[name].astype(np.float32) for name in ("irradiance", "highlight"))
+            self._seen[what] = LampImage(irradiance, highlight, kept["lit"])
+        return self._seen[what]
 
     def _trace(self, light: np.ndarray) -> LampImage:
-        """The head under one distant point: cast shadows, light that spreads in skin, Torrance and Sparrow's highlight."""
+        """The head under one distant point: cast shadows, light spread in skin, Torrance and Sparrow's highlight."""
         towards = self.facet @ light
         start = self.place + self.facet * (4e-3 * np.sign(towards))[:, None]
         blocked = self._mesh.ray.intersects_any(start, np.tile(light, (len(start), 1)))
@@ -254,7 +258,7 @@ class ScannedHead:
 
 
 def _towards_head(mesh: Any, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where rays along the camera's axis through ``x, y (N,)`` meet the mesh first: places (P, 3), which ray, which triangle."""
+    """Where rays along the camera's axis through ``x, y (N,)`` first meet the mesh: places (P, 3), ray, triangle."""
     start = np.stack([x, y, np.full_like(x, 10.0)], -1)
     down = np.tile([0.0, 0.0, -1.0], (len(start), 1))
     place, ray, triangle = mesh.ray.intersects_location(start, down, multiple_hits=False)

@@ -1,6 +1,6 @@
 """Protocol portrait-A: whole heads relit in colour, against a ray-traced scan of several skin tones.
 
-python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --tone fair,deep --json portrait.json --output outputs/portrait
+python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --tone fair,deep --json portrait.json
 
 The scan is Lee Perry-Smith's (CC-BY 3.0): lps_head.npz (vertices, triangles, uv) and color.jpg.
 """
