@@ -1,110 +1,227 @@
-"""Find the three landmarks of the largest face in a photo: with what OpenCV ships, or with a better detector where one is installed."""
+"""The faces of a photograph: where they are, their dense points, the three landmarks that the model's crops are aligned by, their pose.
+
+YuNet says where a face may be, the Face Mesh fits 468 points there, and a rigid mean face tells whether they make a face, how it is turned
+and where the model's landmarks lie. More copies of the photograph are searched only where the first ones show nothing clear.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Literal
+import warnings
+from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CANONICAL_LANDMARKS
-from facerelight.photo.networks import YUNET, network_path
+from facerelight.photo.face_detector import Candidate, detect_faces, merge_candidates, shrink
+from facerelight.photo.face_mesh import fit_face_mesh
+from facerelight.photo.haar import haar_landmarks
+from facerelight.photo.head_pose import HeadPose, RigidFit, canonical_face, fit_rigid_face, model_landmarks
 
-__all__ = ["LandmarksNotFoundError", "find_landmarks"]
+__all__ = ["Face", "HeadPose", "LandmarksNotFoundError", "face_at", "find_faces", "find_landmarks"]
 
-MAX_SIDE = 1024  # faces are searched at this size
+Detector = Literal["auto", "haar", "yunet"]
+FIRST_SIDE = 448  # pixels of the copy that is searched first
+MORE_SIDES = (192, 1280)  # for faces that fill the picture, and for small ones
+TURNS = (45.0, -45.0, 90.0, -90.0, 180.0)  # degrees, tried last
+SMALL = 25.0  # pixels of the first copy: where the faces are smaller there may be more that it does not show
+TOUCH = 0.04  # of a face's size that may lie outside the picture
+CASCADE_SIDE = 1024
+
+
+class Limits(NamedTuple):
+    """What makes a face: least scores of the detector and of the mesh, the largest residual of the rigid face, and the largest distance
+    between the landmarks of detector and mesh; the last two in eye distances."""
+
+    score: float
+    mesh: float
+    error: float
+    apart: float
+
+
+PLAUSIBLE = Limits(0.6, 0.6, 0.16, 0.45)
+CLEAR = Limits(0.88, 0.98, 0.14, 0.3)
 
 
 class LandmarksNotFoundError(RuntimeError):
     """No face, or not both eyes, could be found."""
 
 
-def find_landmarks(photo: np.ndarray, detector: Literal["auto", "haar", "yunet"] = "auto") -> Tensor:
-    """Eye centre at image-left, eye centre at image-right and mouth centre of the largest face.
+class Face(NamedTuple):
+    """One face of a photograph; pixels (x, y) of the photo, the centre of the top-left pixel at (0, 0).
+
+    ``landmarks (3, 2)`` float64: eye centre at image-left, eye centre at image-right (of the upright face) and mouth centre, as the
+    model's crops mean them; ``points (468, 3)`` of the face mesh, z in the same unit and away from the viewer, None where its network
+    could not be used; ``box``, x0, y0, x1, y1 of the points, which may reach out of the picture; ``score`` of the detector, 1 for
+    landmarks given by hand; ``pose``; ``whole``, whether the face lies inside the picture; ``mesh_score``, the mesh network's
+    probability that a face is there.
+    """
+
+    landmarks: np.ndarray
+    points: np.ndarray | None
+    box: tuple[float, float, float, float]
+    score: float
+    pose: HeadPose | None
+    whole: bool
+    mesh_score: float
+
+    @property
+    def size(self) -> float:
+        """The longer side of the box, in pixels."""
+        return max(self.box[2] - self.box[0], self.box[3] - self.box[1])
+
+
+class _Fitted(NamedTuple):
+    candidate: Candidate
+    face: Face
+    error: float
+    apart: float
+
+    def within(self, limits: Limits) -> bool:
+        scores = self.candidate.score >= limits.score and self.face.mesh_score >= limits.mesh
+        return scores and self.error <= limits.error and self.apart <= limits.apart
+
+
+def find_faces(photo: np.ndarray) -> list[Face]:
+    """All faces that are found, whole ones first, then the larger ones first; an empty list where there is none.
+
+    Args:
+        photo: ``(H, W, 3)`` uint8 sRGB of any size; faces may be tilted or upside down.
+
+    Raises:
+        ValueError: a photo of another kind.
+
+    Where a network of the package cannot be read, a ``RuntimeWarning`` says so and Haar cascades search upright faces instead.
+
+    Example:
+        >>> find_faces(np.full((64, 64, 3), 128, np.uint8))
+        []
+    """
+    _check_photo(photo)
+    try:
+        found = _search(photo)
+    except RuntimeError as error:
+        warnings.warn(f"faces: a network cannot be used ({error}); Haar cascades instead", RuntimeWarning, stacklevel=2)
+        found = _cascade_faces(photo)
+    return sorted(found, key=lambda face: (not face.whole, -face.size))
+
+
+def find_landmarks(photo: np.ndarray, detector: Detector = "auto") -> Tensor:
+    """Eye centre at image-left, eye centre at image-right and mouth centre of the best face: the largest of the whole ones.
 
     Args:
         photo: ``(H, W, 3)`` uint8 sRGB.
-        detector: "haar", the cascades that OpenCV ships; "yunet" or "auto", a small network.
+        detector: "auto": :func:`find_faces`; "yunet": the same, and an error where a network cannot be read; "haar": the cascades alone.
 
     Returns:
         ``(3, 2)`` float64 pixels (x, y).
 
     Raises:
         LandmarksNotFoundError: nothing was found; give the landmarks by hand.
-        ValueError: an unknown detector.
+        ValueError: an unknown detector, or a photo of another kind.
     """
-    scale = min(1.0, MAX_SIDE / max(photo.shape[:2]))
-    small = cv2.resize(photo, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else photo
     if detector not in ("auto", "haar", "yunet"):
         raise ValueError(f"detector: expected 'auto', 'haar' or 'yunet', got {detector!r}")
-    points = _haar(small) if detector == "haar" else _yunet(small, network_path(YUNET))
-    return torch.from_numpy((points + 0.5) / scale - 0.5)
+    _check_photo(photo)
+    if detector == "auto":
+        faces = find_faces(photo)
+    else:
+        faces = _cascade_faces(photo) if detector == "haar" else _search(photo)
+        faces = sorted(faces, key=lambda face: (not face.whole, -face.size))
+    if not faces:
+        raise LandmarksNotFoundError("landmarks: found no face; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels")
+    return torch.from_numpy(faces[0].landmarks)
 
 
-def _yunet(image: np.ndarray, model: Path) -> np.ndarray:
-    height, width = image.shape[:2]
-    detector = cv2.FaceDetectorYN.create(str(model), "", (width, height), 0.6)
-    _, faces = detector.detect(cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if faces is None:
-        raise LandmarksNotFoundError(_hint("no face"))
-    face = max(faces, key=lambda f: f[2] * f[3])
-    points = face[4:14].reshape(5, 2).astype(np.float64)  # eyes, nose, mouth corners
-    eyes = points[:2][np.argsort(points[:2, 0])]
-    return np.vstack((eyes, points[3:].mean(0)))
+def face_at(photo: np.ndarray, landmarks: np.ndarray | Tensor) -> Face:
+    """The face at landmarks that were given by hand, with dense points and pose from there; the landmarks stay as given.
+
+    Args:
+        photo: ``(H, W, 3)`` uint8 sRGB.
+        landmarks: ``(3, 2)`` pixels: eye at image-left of the upright face, the other eye, mouth.
+
+    Raises:
+        ValueError: landmarks of another shape, not finite, or with both eyes in one place.
+    """
+    _check_photo(photo)
+    given = np.array(landmarks, np.float64)
+    if given.shape != (3, 2) or not np.isfinite(given).all():
+        raise ValueError(f"landmarks: expected three finite (x, y) pairs, got {given.tolist()}")
+    if np.hypot(*(given[1] - given[0])) < 1e-3:
+        raise ValueError(f"landmarks: expected two different eyes, got both at {given[0].tolist()}")
+    try:
+        fitted = _fit(photo, Candidate(given[[0, 1, 2, 2, 2]], 1.0))
+    except RuntimeError as error:
+        warnings.warn(f"face: no dense points ({error})", RuntimeWarning, stacklevel=2)
+        return _bare_face(photo, given)
+    return fitted.face._replace(landmarks=given)
 
 
-def _haar(image: np.ndarray) -> np.ndarray:
-    grey = cv2.equalizeHist(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
-    least = max(24, min(grey.shape) // 12)
-    faces = _cascade("haarcascade_frontalface_default.xml").detectMultiScale(grey, 1.05, 6, minSize=(least, least))
-    if len(faces) == 0:
-        raise LandmarksNotFoundError(_hint("no frontal face"))
-    for face in sorted(faces, key=lambda f: -f[2]):
-        points = _features(grey, face)
-        if points is not None:
-            return points
-    raise LandmarksNotFoundError(_hint("a face, but not both of its eyes"))
+def _search(photo: np.ndarray) -> list[Face]:
+    """Faces by the networks; more copies are searched only where the first ones show no clear face, or only small ones."""
+    height, width = photo.shape[:2]
+    base = shrink(photo, MORE_SIDES[-1])
+    factor = np.array((width / base.shape[1], height / base.shape[0]))
+    candidates: list[Candidate] = []
+    known: dict[int, _Fitted] = {}  # by the candidate's identity: nothing is fitted twice
+
+    def clear(*copies: tuple[int, float]) -> list[_Fitted]:
+        nonlocal candidates, known
+        for side, turn in copies:
+            found = detect_faces(base, side, turn, PLAUSIBLE.score)
+            candidates = candidates + [Candidate((one.points + 0.5) * factor - 0.5, one.score) for one in found]
+        candidates = merge_candidates(candidates)
+        known = {id(one): known.get(id(one)) or _fit(photo, one) for one in candidates}
+        return [one for one in known.values() if one.within(CLEAR)]
+
+    found = clear((FIRST_SIDE, 0.0))
+    largest = max((one.candidate.size for one in found), default=0.0) * min(1.0, FIRST_SIDE / max(photo.shape[:2]))
+    if largest < SMALL:
+        found = clear(*((side, 0.0) for side in MORE_SIDES if side < FIRST_SIDE or max(base.shape[:2]) > 1.3 * FIRST_SIDE))
+    if not found:
+        clear(*((FIRST_SIDE, turn) for turn in TURNS))
+    return [one.face for one in known.values() if one.within(PLAUSIBLE)]
 
 
-def _features(grey: np.ndarray, face: Sequence[int]) -> np.ndarray | None:
-    """Eyes and mouth inside a face box ``(x, y, side, side)``, or None where it has not two eyes where eyes should be."""
-    x, y, side, _ = (int(v) for v in face)
-    size = (side // 8, side // 8), (side // 3, side // 3)
-    top = grey[y : y + int(0.6 * side), x : x + side]
-    eyes = [
-        (x + ex + ew / 2, y + ey + eh / 2)
-        for name in ("haarcascade_eye.xml", "haarcascade_eye_tree_eyeglasses.xml")
-        for ex, ey, ew, eh in _cascade(name).detectMultiScale(top, 1.03, 4, minSize=size[0], maxSize=size[1])
-    ]
-    expected = np.array(((x + 0.3 * side, y + 0.38 * side), (x + 0.7 * side, y + 0.38 * side)))
-    found = []
-    for place in expected:
-        near = [e for e in eyes if np.hypot(*(np.array(e) - place)) < 0.15 * side]
-        if not near:
-            return None
-        found.append(np.median(near, axis=0))
-    left, right = found
-    across = right - left
-    down = np.array((-across[1], across[0]))
-    (ex0, ey0), (ex1, _), (_, my) = CANONICAL_LANDMARKS
-    guess = (left + right) / 2 + down * (my - ey0) / (ex1 - ex0)
-    x0, x1 = int(left[0] - 0.2 * side), int(right[0] + 0.2 * side)
-    y0 = int((left[1] + right[1]) / 2 + 0.25 * side)
-    low = grey[max(y0, 0) : y0 + int(0.6 * side), max(x0, 0) : x1]
-    mouths = _cascade("haarcascade_smile.xml").detectMultiScale(low, 1.05, 8, minSize=(side // 5, side // 10)) if low.size else ()
-    centres = [np.array((max(x0, 0) + mx + mw / 2, max(y0, 0) + my_ + mh / 2)) for mx, my_, mw, mh in mouths]
-    close = [c for c in centres if np.hypot(*(c - guess)) < 0.15 * side]
-    mouth = guess if not close else (guess + 2 * np.median(close, axis=0)) / 3
-    return np.stack((left, right, mouth))
+def _fit(photo: np.ndarray, candidate: Candidate) -> _Fitted:
+    """Dense points, landmarks and pose from a candidate, and how well they agree."""
+    mesh = fit_face_mesh(photo, candidate.landmarks, canonical_face().mirror)
+    fit = fit_rigid_face(mesh.points)
+    landmarks = model_landmarks(mesh.points, fit)
+    apart = float(np.hypot(*(landmarks - candidate.landmarks).T).mean()) / max(fit.scale, 1e-9)
+    box = _box(mesh.points)
+    face = Face(landmarks, mesh.points, box, candidate.score, fit.pose, _inside(box, photo), mesh.score)
+    return _Fitted(candidate, face, fit.error, apart)
 
 
-def _cascade(name: str) -> cv2.CascadeClassifier:
-    return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / name))
+def _cascade_faces(photo: np.ndarray) -> list[Face]:
+    small = shrink(photo, CASCADE_SIDE)
+    factor = np.array((photo.shape[1] / small.shape[1], photo.shape[0] / small.shape[0]))
+    return [_bare_face(photo, (points + 0.5) * factor - 0.5) for points in haar_landmarks(small)]
 
 
-def _hint(found: str) -> str:
-    return f"landmarks: found {found}; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels"
+def _bare_face(photo: np.ndarray, landmarks: np.ndarray) -> Face:
+    """A face of which the landmarks alone are known; its box is where the mean face's would be."""
+    left, right, _ = landmarks
+    x, y = (right - left) / np.hypot(*(right - left))
+    rotation = np.array(((x, y, 0.0), (-y, x, 0.0), (0.0, 0.0, 1.0)))
+    fit = RigidFit(float(np.hypot(*(right - left))), rotation, (left + right) / 2, 0.0)
+    box = _box(fit.project(canonical_face().points))
+    return Face(landmarks, None, box, 0.0, None, _inside(box, photo), 0.0)
+
+
+def _box(points: np.ndarray) -> tuple[float, float, float, float]:
+    (x0, y0), (x1, y1) = points[:, :2].min(0), points[:, :2].max(0)
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def _inside(box: tuple[float, float, float, float], photo: np.ndarray) -> bool:
+    x0, y0, x1, y1 = box
+    height, width = photo.shape[:2]
+    slack = TOUCH * max(x1 - x0, y1 - y0) + 0.5
+    return min(x0, y0) >= -slack and x1 <= width - 1 + slack and y1 <= height - 1 + slack
+
+
+def _check_photo(photo: np.ndarray) -> None:
+    if photo.ndim != 3 or photo.shape[2] != 3 or photo.dtype != np.uint8 or min(photo.shape[:2]) < 1:
+        raise ValueError(f"photo: expected (H, W, 3) uint8 sRGB, got {photo.dtype} of shape {photo.shape}")
