@@ -142,7 +142,7 @@ def _relight(arguments: Namespace) -> int:
     written = []
     for azimuth, elevation in lights:
         name = output if len(lights) == 1 else output.with_name(f"{output.stem}_{azimuth:+.0f}_{elevation:+.0f}{output.suffix}")
-        write_photo(name, session.render(azimuth, elevation), photo.alpha)
+        write_photo(name, session.render(azimuth, elevation), photo)
         written.append(str(name))
     if arguments.variance:
         _write_map(arguments.variance, session.std(*lights[0]))
