@@ -128,13 +128,13 @@ class PortraitTruth:
     def _photograph(self, scene: np.ndarray) -> np.ndarray:
         return film(scene * self._matte + backdrop() * (1 - self._matte))[:ROWS]
 
-    def case(self, source: str, lamp: Lamp) -> Case:
+    def case(self, source: str, lamp: Lamp, fill: float = FILL) -> Case:
         """The photograph under a set-up, well exposed, and the truth: the new lamp as strong as keeps the face's
         brightness when it stands at the camera."""
         scene, level = self._face_luminance(*SOURCES[source])
         gain = EXPOSURE[self.tone] / level
         at_camera = self._face_luminance([Lamp(0, 0, lamp.size)], 0.0)[1]
-        target = self.head.radiance(self.albedo, [lamp], FILL)
+        target = self.head.radiance(self.albedo, [lamp], fill)
         truth = self._photograph(target * gain * level / at_camera)
         return Case(self._photograph(scene * gain), truth, self.shadow_edges(lamp))
 
