@@ -62,25 +62,22 @@ def truth_steps(folder: Path, cache: Path | None, frame: CropFrame) -> dict[str,
 
 # -- contact sheets -------------------------------------------------------------------------------------------------
 def bust(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """The photo around head and shoulders, 400 pixels tall; grey where the photo ends."""
+    """The photo around head and shoulders, 400 pixels tall."""
     (x, y), unit = landmarks[:2].mean(0), float(np.linalg.norm(landmarks[1] - landmarks[0]))
-    side, above, below = (round(reach * unit) for reach in BUST)
-    left, top = round(x) - side, round(y) - above
-    pad = max(0, -left, -top, round(x) + side - image.shape[1], round(y) + below - image.shape[0])
-    wide = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=(128, 128, 128))
-    part = wide[top + pad : top + pad + above + below, left + pad : left + pad + 2 * side]
-    size = (round(TALL * 2 * BUST[0] / (BUST[1] + BUST[2])), TALL)
-    return cv2.resize(part, size, interpolation=cv2.INTER_AREA if part.shape[0] > TALL else cv2.INTER_CUBIC)
+    side, above, below = (reach * unit for reach in BUST)
+    rows = slice(max(0, round(y - above)), round(y + below))
+    return tile(image[rows, max(0, round(x - side)) : round(x + side)])
 
 
-def missing(image: np.ndarray) -> np.ndarray:
-    """A photo in which no face was found, as large as a bust."""
+def tile(image: np.ndarray) -> np.ndarray:
+    """A picture as large as fits a place on the sheet, grey around it."""
     width = round(TALL * 2 * BUST[0] / (BUST[1] + BUST[2]))
     scale = min(width / image.shape[1], TALL / image.shape[0])
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    tile = np.full((TALL, width, 3), 128, np.uint8)
-    tile[: small.shape[0], : small.shape[1]] = small[:TALL, :width]
-    return tile
+    size = (min(width, round(scale * image.shape[1])), min(TALL, round(scale * image.shape[0])))
+    scaled = cv2.resize(image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    place = np.full((TALL, width, 3), 128, np.uint8)
+    place[: size[1], : size[0]] = scaled
+    return place
 
 
 def write_sheets(path: Path, rows: list[tuple[str, list[np.ndarray]]]) -> None:
@@ -109,7 +106,7 @@ def measure(path: Path, relighter: StatisticalRelighter, output: Path | None) ->
     try:
         session = PhotoRelighter(photo, None, relighter)
     except (ValueError, RuntimeError) as error:
-        return {"found": False, "why": str(error)}, [missing(photo)]
+        return {"found": False, "why": str(error)}, [tile(photo)]
     conditioned = time.perf_counter() - started
     landmarks = np.asarray(session.landmarks, dtype=float)
     matte = getattr(session, "matte", None)
