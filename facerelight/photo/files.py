@@ -96,7 +96,7 @@ def write_photo(path: str | Path, pixels: np.ndarray, like: PhotoFile | None = N
     Args:
         path: its suffix says the format.
         pixels: ``(H, W, 3)`` uint8 or uint16, sRGB-coded, of the depth of ``like.pixels``.
-        like: the photo that was relit, with the mode, depth, profile, EXIF, alpha and resolution to keep; None: plain sRGB.
+        like: the photo that was relit, whose mode, depth, profile, EXIF, alpha and resolution are kept; None for sRGB.
 
     Raises:
         ValueError: a suffix of no known format, a place that cannot be written to, or pixels unlike the photo's.

@@ -15,7 +15,7 @@ from facerelight.photo.profiles import (
     SRGB_GREY,
     PlainCmyk,
     Profile,
-    decode_srgb,
+    decode_codes,
     eight_bits,
     read_profile,
     to_image,
@@ -117,8 +117,7 @@ class PhotoFile:
         if self.profile is SRGB:
             return pixels
         changed = (pixels != self.pixels).any(axis=2)
-        full = np.iinfo(pixels.dtype).max
-        before, after = (decode_srgb(part[changed] / full) for part in (self.pixels, pixels))  # (N, 3) linear
+        before, after = (decode_codes(part[changed]) for part in (self.pixels, pixels))  # (N, 3) linear
         own = self.profile.decode((self.stored[changed] / self._full).reshape(-1, self.channels))
         scale = ((after @ LUMINANCE) / np.maximum(before @ LUMINANCE, 1e-4)).clip(0, LARGEST_SCALE)
         values = self.profile.encode(after + (own - before) * scale[:, None]) * self._full

@@ -8,7 +8,6 @@ clipping: that is what gives a relit pixel back in its own space.
 from __future__ import annotations
 
 import io
-import math
 import struct
 from typing import Protocol
 
@@ -149,7 +148,7 @@ def _matrix_profile(icc: bytes, channels: int) -> MatrixProfile | None:
             return MatrixProfile(curves, None, icc)
         columns = [struct.unpack(">3i", _tag(icc, name)[8:20]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
         return MatrixProfile(curves, np.array(columns, float).T / 65536, icc)
-    except (ValueError, struct.error, np.linalg.LinAlgError):
+    except (ValueError, ZeroDivisionError, struct.error, np.linalg.LinAlgError):
         return None
 
 
@@ -168,27 +167,30 @@ def _curve(tag: bytes) -> np.ndarray:
     x = np.linspace(0, 1, CODES)
     if tag[:4] == b"curv":
         (count,) = struct.unpack(">I", tag[8:12])
-        values = np.array(struct.unpack(f">{count}H", tag[12 : 12 + 2 * count]), float)
+        points = np.array(struct.unpack(f">{count}H", tag[12 : 12 + 2 * count]), float)
         if count == 0:
             return x
-        return x ** (values[0] / 256) if count == 1 else np.interp(x, np.linspace(0, 1, count), values / 65535)
-    if tag[:4] == b"para":
-        (kind,) = struct.unpack(">H", tag[8:10])
-        count = (1, 3, 4, 5, 7)[kind] if kind < 5 else 0
+        return x ** (points[0] / 256) if count == 1 else np.interp(x, np.linspace(0, 1, count), points / 65535)
+    if tag[:4] == b"para" and tag[8:9] == b"\0" and tag[9] < 5:
+        count = (1, 3, 4, 5, 7)[tag[9]]
         values = [v / 65536 for v in struct.unpack(f">{count}i", tag[12 : 12 + 4 * count])]
-        g, a, b, c, d, e, f = values + [0.0] * (7 - count)
-        if kind == 0:
-            return x**g
-        if kind in (1, 2):  # (a x + b)^g + c from -b / a on, c below
-            a, b, c, d, e, f = a, b, 0.0, -b / a, (c if kind == 2 else 0.0), (c if kind == 2 else 0.0)
-        if kind in (1, 2, 3, 4) and math.isfinite(a):
-            return np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f).clip(0, 1)
+        if count == 1:
+            return x ** values[0]
+        g, a, b, *more = values
+        # (a x + b)^g + e from d on, c x + f below
+        c, d, e, f = {3: (0, -b / a, 0, 0), 4: (0, -b / a, *more, *more), 5: (*more, 0, 0), 7: tuple(more)}[count]
+        return np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f).clip(0, 1)
     raise ValueError(f"ICC profile: expected a curve or a parametric curve, got {tag[:4]!r}")
 
 
 def decode_srgb(coded: np.ndarray) -> np.ndarray:
     """Linear light of sRGB-coded values in 0..1."""
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+
+
+def decode_codes(pixels: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB code values, uint8 or uint16."""
+    return _SRGB_CURVE[pixels if pixels.dtype == np.uint16 else pixels.astype(np.uint16) * 257]
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
