@@ -247,12 +247,13 @@ def test_places_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest
     good = tmp_path / "good.png"
     good.write_bytes(encoded("PNG"))
     (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
     common = ["relight", str(good), "--landmarks", MARKS, "--statistics", str(folder), "--output"]
     for arguments in (
         [*common, str(tmp_path / "file" / "out.png")],
         [*common, "/proc/version/out.png"],
         [*common, str(tmp_path / "out.xyz")],
-        ["relight", str(tmp_path), "--statistics", str(folder)],
+        ["relight", str(tmp_path / "empty"), "--statistics", str(folder)],
         ["relight", str(tmp_path / "bad\x00name.png"), "--statistics", str(folder)],
         ["relight", str(good), "--statistics", str(tmp_path / "nowhere")],
         ["train", "--config", str(CONFIG), "--output", str(tmp_path / "file")],

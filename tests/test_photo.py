@@ -112,13 +112,13 @@ def test_methods_from_the_command_line(folder: Path, astronaut: np.ndarray, tmp_
     results = {}
     for name, paths in (("expected", everybody[:1]), ("map", everybody[:1]), ("mle", everybody), ("evidence", everybody[:2])):
         method = "expected" if name == "evidence" else name
-        assert main(["relight", *paths, "--method", method, *common, str(tmp_path / f"{name}.png")]) == 0
+        assert main(["relight", *paths, "--same-person", "--method", method, *common, str(tmp_path / f"{name}.png")]) == 0
         assert json.loads(capsys.readouterr().out)["method"] == method
         results[name] = read_photo(tmp_path / f"{name}.png").rgb
     for name in ("map", "mle", "evidence"):
         difference = np.abs(results[name] - results["expected"]).mean()
         assert 0 < difference < 0.1
-    assert main(["relight", *everybody[:2], "--method", "mle", *common, str(tmp_path / "no.png")]) == 2
+    assert main(["relight", *everybody[:2], "--same-person", "--method", "mle", *common, str(tmp_path / "no.png")]) == 2
     assert "expected at least 3 input images" in capsys.readouterr().err
     assert main(["relight", *everybody[:1], "--method", "best", *common, str(tmp_path / "no.png")]) == 2
     assert not (tmp_path / "no.png").exists()

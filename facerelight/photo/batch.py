@@ -1,0 +1,264 @@
+"""Photographs one after the other: which files come of which, checked before any work, and what is done for each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from facerelight.photo.files import SUFFIXES, check_writable, find_photos, not_held, read_photo, write_photo
+from facerelight.photo.scenes import Scene, scene_paths
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from facerelight.photo.landmarks import Face
+    from facerelight.photo.photograph import PhotoFile
+    from facerelight.photo.session import PhotoRelighter
+    from facerelight.relighter import StatisticalRelighter
+
+__all__ = ["Job", "Request", "choose_faces", "find_jobs", "relight_photo"]
+
+DEFAULT_OUTPUT, DEFAULT_FOLDER = "relit.png", "relit"
+BEHIND = "the lamp stands behind the face and lights its rim alone; --fill says how much light comes from all around"
+REMEDY = "say where it is with --landmarks x,y,x,y,x,y: eye at image-left, eye at image-right, mouth, in pixels"
+Say = Callable[[str], None]
+Load = Callable[[], "StatisticalRelighter"]
+
+
+class Job(NamedTuple):
+    """A photo, others of the same person, a file for each scene, and one for the map of the standard deviation."""
+
+    photo: Path
+    more: tuple[Path, ...]
+    outputs: tuple[Path, ...]
+    variance: Path | None
+
+
+class Request(NamedTuple):
+    """What is asked for every photo; ``face`` is "largest", "all" or a number from 1; ``source_light`` in degrees."""
+
+    scenes: Sequence[Scene]
+    fill: float = 0.1
+    strength: float = 1.0
+    face: str = "largest"
+    landmarks: list[tuple[float, float]] | None = None
+    source_light: tuple[float, float] | None = None
+    method: str = "expected"
+
+
+def find_jobs(
+    photos: Sequence[str],
+    scenes: Sequence[Scene],
+    output: str | None = None,
+    variance: str | None = None,
+    same_person: bool = False,
+    force: bool = False,
+) -> list[Job]:
+    """What is to be written for ``photos``, files or folders of files.
+
+    One photo, or several of the same person, go into the file ``output`` ("relit.png"); a batch into the folder
+    ``output`` ("relit"), each photo under its own name with ``_relit`` behind it.
+
+    Raises:
+        ValueError: a place that cannot be written to, a file that exists already unless ``force``, two results of one
+            name, or a file where a folder should be named.
+    """
+    batch = not same_person and (len(photos) > 1 or any(Path(photo).is_dir() for photo in photos))
+    paths = [path for photo in photos for path in _expand(Path(photo))]
+    into = Path(output or (DEFAULT_FOLDER if batch else DEFAULT_OUTPUT))
+    if batch and into.suffix.lower() in SUFFIXES:
+        raise ValueError(
+            f"output: expected a folder for {len(paths)} photos ({_some(paths)}), got the file {str(into)!r}; "
+            "if they show one person, say --same-person"
+        )
+    if batch and variance:
+        raise ValueError(f"variance: expected one photo, got {len(paths)}: {_some(paths)}")
+    groups = [(path, ()) for path in paths] if batch else [(paths[0], tuple(paths[1:]))]
+    jobs = []
+    for photo, more in groups:
+        suffix = photo.suffix if photo.suffix.lower() in SUFFIXES else ".png"
+        name = into / f"{photo.stem}_relit{suffix}" if batch or into.is_dir() else into
+        jobs.append(Job(photo, more, tuple(scene_paths(name, scenes)), Path(variance) if variance else None))
+    _check_outputs(jobs, paths, force)
+    return jobs
+
+
+def relight_photo(job: Job, request: Request, load: Load, say: Say) -> dict[str, Any]:
+    """Relight a photo and write all that is asked for; returns the report.
+
+    Args:
+        load: gives the relighter; called only once the photo has been read.
+        say: takes what the user should know, a line at a time.
+
+    Raises:
+        ValueError: a file, landmarks or lights that cannot be used; names the photo.
+        LandmarksNotFoundError: no face; names the photo.
+    """
+    started = time.perf_counter()
+    with _naming(job.photo):
+        photo = read_photo(job.photo)
+        more = [read_photo(path) for path in job.more]
+    relighter = load()
+    with _naming(job.photo):
+        chosen, count = _chosen(job, photo, more, request)
+    if count and len(chosen) < count:
+        numbers = " and ".join(str(index) for index, _ in chosen)
+        say(f"{job.photo}: face {numbers} of {count}, whole ones first, then by size; --face takes all or another")
+    with _naming(job.photo):
+        report = _relight(job, request, photo, [other.pixels for other in more], chosen, relighter)
+    lost = [f"{path.name}: {line}" for path in job.outputs[:1] for line in not_held(path, photo)]
+    lamps = [lamp for scene in request.scenes for lamp in scene.lamps]
+    behind = [f"azimuth {lamp.azimuth:g}: {BEHIND}" for lamp in lamps if abs(lamp.azimuth) > 90]
+    report["warnings"] = [*lost, *behind, *report["warnings"]]
+    for line in report["warnings"]:
+        say(f"{job.photo}: {line}")
+    number = {"index": chosen[0][0], "count": count} if count else None
+    return {"photo": str(job.photo), "face": number, **report, "seconds": round(time.perf_counter() - started, 3)}
+
+
+def choose_faces(photo: np.ndarray, which: str) -> tuple[list[tuple[int, Face]], int]:
+    """The faces asked for of ``photo (H, W, 3)`` uint8, each with its number from 1, and how many were found.
+
+    Args:
+        which: "largest", the largest of the whole faces; "all", the whole ones, or all where none is whole; or a
+            number: whole faces come first, then larger ones.
+
+    Raises:
+        LandmarksNotFoundError: no face.
+        ValueError: a number beyond the number of faces.
+    """
+    from facerelight.photo.landmarks import LandmarksNotFoundError, find_faces
+
+    faces = list(enumerate(find_faces(photo), 1))
+    if not faces:
+        raise LandmarksNotFoundError(f"found no face; {REMEDY}")
+    if which == "all":
+        return [(k, face) for k, face in faces if face.whole] or faces, len(faces)
+    number = 1 if which == "largest" else int(which)
+    if number > len(faces):
+        raise ValueError(f"face: expected a number up to {len(faces)}, as many as were found, got {number}")
+    return [faces[number - 1]], len(faces)
+
+
+def _chosen(
+    job: Job,
+    photo: PhotoFile,
+    more: list[PhotoFile],
+    request: Request,
+) -> tuple[list[tuple[int, Face | None]], int]:
+    """The faces to relight, and how many there are; where landmarks are given, nothing is looked for."""
+    from facerelight.photo.landmarks import LandmarksNotFoundError, find_faces
+    from facerelight.photo.profiles import eight_bits
+
+    for path, other in zip(job.more, more, strict=True):
+        if not find_faces(eight_bits(other.pixels)):
+            raise LandmarksNotFoundError(f"{path}: found no face; --landmarks is of the first photo, leave it out")
+    if request.landmarks is not None:
+        return [(1, None)], 0
+    chosen, count = choose_faces(eight_bits(photo.pixels), request.face)
+    return list(chosen), count
+
+
+def _relight(
+    job: Job,
+    request: Request,
+    photo: PhotoFile,
+    more: list[np.ndarray],
+    chosen: list[tuple[int, Face | None]],
+    relighter: StatisticalRelighter,
+) -> dict[str, Any]:
+    """Write every scene, the faces one after the other in the same picture, and the map; report on each face."""
+    from facerelight.lights import light_from_angles
+    from facerelight.photo.session import PhotoRelighter
+
+    light = None if request.source_light is None else light_from_angles(*request.source_light)
+
+    def session(pixels: np.ndarray, face: Face | None) -> PhotoRelighter:
+        known: dict[str, Any] = {"source_light": light, "more": more, "method": request.method, "face": face}
+        return PhotoRelighter(pixels, request.landmarks, relighter, **known)
+
+    first = session(photo.pixels, chosen[0][1])
+    facts, said = [_facts(first)], list(first.warnings)
+    for path, scene in zip(job.outputs, request.scenes, strict=True):
+        pixels = first.render(scene.lamps, fill=request.fill, strength=request.strength)
+        for _, face in chosen[1:]:
+            other = session(pixels, face)
+            pixels = other.render(scene.lamps, fill=request.fill, strength=request.strength)
+            facts.append(_facts(other))
+            said += other.warnings
+        write_photo(path, pixels, photo)
+    written = [str(path) for path in job.outputs]
+    if job.variance:
+        _write_map(job.variance, first.std(request.scenes[0].azimuth, request.scenes[0].elevation))
+        written.append(str(job.variance))
+    facts[0] = _facts(first)  # with the stages that ran since
+    report = {"method": request.method, "output": written, **facts[0], "warnings": list(dict.fromkeys(said))}
+    faces = [{"index": index, **fact} for (index, _), fact in zip(chosen, facts, strict=False)]
+    return report if len(faces) == 1 else {**report, "faces": faces}
+
+
+def _facts(session: PhotoRelighter) -> dict[str, Any]:
+    azimuth, elevation = session.source_angles
+    pose, turns = session.pose, ("yaw", "pitch", "roll")
+    return {
+        "source_light": {"azimuth": round(azimuth, 1), "elevation": round(elevation, 1)},
+        "landmarks": [[round(float(v), 1) for v in point] for point in session.landmarks.tolist()],
+        "pose": None if pose is None else {name: round(float(getattr(pose, name)), 1) for name in turns},
+        "stages": [stage._asdict() for stage in session.stages],
+    }
+
+
+def _write_map(path: Path, std: np.ndarray) -> None:
+    """A grey picture of a map, white at its largest value."""
+    import numpy as np
+
+    grey = (std / max(float(std.max()), 1e-12) * 255).round().astype(np.uint8)
+    write_photo(path, np.repeat(grey[..., None], 3, axis=2))
+
+
+def _expand(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    found = find_photos(path)
+    if not found:
+        raise ValueError(f"{path}: expected a folder with photos ({', '.join(SUFFIXES)}), found none")
+    return found
+
+
+def _check_outputs(jobs: Sequence[Job], photos: Sequence[Path], force: bool) -> None:
+    inputs = {path.resolve() for path in photos if "\0" not in str(path)}
+    seen: dict[Path, Path] = {}
+    for job in jobs:
+        for path in (*job.outputs, *([job.variance] if job.variance else [])):
+            check_writable(path)
+            place = path.resolve()
+            if place in seen:
+                other = "a result as well" if seen[place] == job.photo else f"what comes of {seen[place]} as well"
+                raise ValueError(f"{path}: expected a file for every result of {job.photo}, but this one is {other}")
+            seen[place] = job.photo
+            if path.exists() and not force:
+                what = "is a photo to be relit" if place in inputs else "exists already"
+                raise ValueError(f"{path}: {what}; --force overwrites it, --output says another place")
+
+
+def _some(paths: Sequence[Path]) -> str:
+    names = [path.name for path in paths[:3]]
+    return ", ".join([*names, "..."] if len(paths) > 3 else names)
+
+
+@contextmanager
+def _naming(photo: Path) -> Iterator[None]:
+    """Errors with the photo's name in front, and the remedy behind where they are about landmarks."""
+    from facerelight.photo.landmarks import LandmarksNotFoundError
+
+    try:
+        yield
+    except (ValueError, LandmarksNotFoundError) as error:
+        text = str(error) if str(error).startswith(str(photo)) else f"{photo}: {error}"
+        about = isinstance(error, LandmarksNotFoundError) or "landmarks: " in text
+        text = f"{text}; {REMEDY}" if about and "--landmarks" not in text else text
+        kind = LandmarksNotFoundError if isinstance(error, LandmarksNotFoundError) else ValueError
+        raise kind(text) from error

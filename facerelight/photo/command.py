@@ -1,0 +1,156 @@
+"""``facerelight relight``: its options, and what it prints."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facerelight.photo.batch import Job, Load, Request, find_jobs, relight_photo
+from facerelight.photo.scenes import LAMP, parse_angles, parse_landmarks, parse_scenes
+
+if TYPE_CHECKING:
+    from facerelight.relighter import StatisticalRelighter
+
+__all__ = ["relight_parser", "run_relight"]
+
+METHODS = ("expected", "map", "mle")
+COVARIANCES = ("face", "pixel")
+QUALITIES = ("draft", "standard", "reference")
+EPILOG = """The relit photo keeps size, depth, colour profile, EXIF and alpha. JPEG is written at quality 95 without
+chroma subsampling; a photo with alpha is laid over white there. Exit codes: 0 done, 1 nothing found, or a part of
+several photos failed, 2 bad input, 3 the program or the machine failed."""
+
+
+def relight_parser() -> ArgumentParser:
+    """The options of ``facerelight relight``."""
+    parser = ArgumentParser(
+        prog="facerelight relight",
+        description="Relight the faces in photos.",
+        epilog=EPILOG,
+        allow_abbrev=False,
+    )
+    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, or a folder of them"
+    parser.add_argument("photo", nargs="+", help=f"{formats}; several are relit each on its own")
+    option = parser.add_argument_group("the new light").add_argument
+    option("--light", action="append", default=[], metavar="AZ,EL,...", help=f"a lamp, {LAMP}; repeat it for more")
+    option("--azimuth", type=float, nargs="+", help="degrees, positive: light at image-left; several: several pictures")
+    option("--elevation", type=float, nargs="+", help="degrees, positive: light above (default of both: 0)")
+    option("--size", type=float, default=5.0, help="angular radius of lamps, degrees: 1 bulb, 15 soft box (default: 5)")
+    option("--fill", type=float, default=0.1, help="share of light from all around, 0 to 1 (default: 0.1)")
+    option("--strength", type=float, default=1.0, help="0 leaves the photo as it is, 1 relights it (default: 1)")
+    option = parser.add_argument_group("the photo").add_argument
+    which = "which of several faces: the largest whole one, all, or the N-th, whole ones first, then by size"
+    option("--face", type=_face, default="largest", metavar="largest|all|N", help=which)
+    option("--landmarks", metavar="X,Y,X,Y,X,Y", help="eye at image-left, eye at image-right, mouth, in pixels")
+    option("--same-person", action="store_true", help="the further photos are evidence of the first one's person")
+    option("--source-light", metavar="AZ,EL", help="where the photo's own light stands, if it is known")
+    option = parser.add_argument_group("the results").add_argument
+    places = "file (default: relit.png), several lights add _AZ_EL; for several photos a folder (default: relit)"
+    option("--output", metavar="PLACE", help=places)
+    option("--force", action="store_true", help="overwrite files that exist")
+    option("--variance", metavar="FILE", help="also write a map of the standard deviation, first light")
+    option("--explain", action="store_true", help="say which stages ran, why, and how long they took")
+    option("--json", action="store_true", help="print what was done as JSON")
+    option = parser.add_argument_group("the model").add_argument
+    methods = "the mean image, the most probable one, or n without a prior, from three photos or more"
+    option("--method", default="expected", choices=METHODS, help=f"{methods} (default: expected)")
+    option("--covariance", default="face", choices=COVARIANCES, help="whole-face or per-pixel model (default: face)")
+    option("--quality", default="standard", choices=QUALITIES, help="of the statistics (default: standard)")
+    option("--statistics", metavar="FOLDER", help="trained statistics (default: the user's cache)")
+    return parser
+
+
+def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, str], Path]) -> int:
+    """Relight what the command line says; returns the exit code.
+
+    Args:
+        arguments: parsed by :func:`relight_parser`.
+        statistics_folder: of the folder given and the quality; trains where there is none.
+
+    Raises:
+        ValueError: options that cannot be used; with one photo also the photo.
+        LandmarksNotFoundError: one photo, without a face.
+    """
+    request = _request(arguments)
+    places = arguments.output, arguments.variance
+    jobs = find_jobs(arguments.photo, request.scenes, *places, arguments.same_person, arguments.force)
+    if len(jobs) > 1 and request.landmarks:
+        raise ValueError(f"landmarks: expected one photo with them, got {len(jobs)}")
+
+    @cache
+    def load() -> StatisticalRelighter:
+        from facerelight.relighter import StatisticalRelighter
+
+        folder = statistics_folder(arguments.statistics, arguments.quality)
+        return StatisticalRelighter.from_pretrained(folder, arguments.covariance)
+
+    if len(jobs) > 1:
+        load()  # what is wrong with the statistics is wrong with every photo
+        return _run_batch(jobs, request, load, arguments)
+    report = relight_photo(jobs[0], request, load, _say)
+    _explain(report, arguments)
+    print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
+    return 0
+
+
+def _run_batch(jobs: list[Job], request: Request, load: Load, arguments: Namespace) -> int:
+    from facerelight.photo.landmarks import LandmarksNotFoundError
+
+    reports: list[dict[str, Any]] = []
+    codes = []
+    for job in jobs:
+        try:
+            reports.append(relight_photo(job, request, load, _say))
+            codes.append(0)
+        except (ValueError, OSError, LandmarksNotFoundError) as error:
+            _say(str(error))
+            reports.append({"photo": str(job.photo), "error": str(error)})
+            codes.append(1 if isinstance(error, LandmarksNotFoundError) else 2)
+            continue
+        _explain(reports[-1], arguments)
+        if not arguments.json:
+            print("\n".join(reports[-1]["output"]), flush=True)
+    if arguments.json:
+        print(json.dumps({"photos": reports}))
+    failed = sum(code > 0 for code in codes)
+    if failed:
+        _say(f"{failed} of {len(jobs)} photos could not be relit")
+    return 0 if not failed else 2 if set(codes) == {2} else 1
+
+
+def _request(arguments: Namespace) -> Request:
+    scenes = parse_scenes(arguments.light, arguments.azimuth, arguments.elevation, arguments.size)
+    for name in ("fill", "strength"):
+        value = getattr(arguments, name)
+        if not (math.isfinite(value) and 0 <= value <= 1):
+            raise ValueError(f"{name}: expected a share from 0 to 1, got {value}")
+    landmarks = None if arguments.landmarks is None else parse_landmarks(arguments.landmarks)
+    if landmarks and arguments.face != "largest":
+        raise ValueError("face: expected --face or --landmarks, got both")
+    source = None if arguments.source_light is None else parse_angles(arguments.source_light, "source-light")
+    return Request(scenes, arguments.fill, arguments.strength, arguments.face, landmarks, source, arguments.method)
+
+
+def _face(text: str) -> str:
+    if text not in ("largest", "all") and not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise ArgumentTypeError(f"expected largest, all or a number from 1, got {text!r}")
+    return text
+
+
+def _explain(report: dict[str, Any], arguments: Namespace) -> None:
+    if not arguments.explain:
+        return
+    for stage in report["stages"]:
+        cost = f"{stage['seconds']:6.2f} s" if stage["ran"] else " not run"
+        _say(f"{report['photo']}: {stage['name']:<16} {cost}  {stage['reason']}")
+    _say(f"{report['photo']}: {'all':<16} {report['seconds']:6.2f} s")
+
+
+def _say(line: str) -> None:
+    print(f"facerelight: {line}", file=sys.stderr, flush=True)
