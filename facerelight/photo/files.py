@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 MAX_PIXELS = 100_000_000
+BROKEN = (OSError, ValueError, SyntaxError, EOFError, RuntimeError, MemoryError)  # what Pillow's decoders raise
 HEIC_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 
 
@@ -83,7 +84,7 @@ def read_photo(path: str | Path) -> PhotoFile:
             return photo
     except UnidentifiedImageError as error:
         raise ValueError(f"{path}: expected a photo ({', '.join(_formats())}), got {_something_else(path)}") from error
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError, MemoryError) as error:
+    except (*BROKEN, Image.DecompressionBombError) as error:
         raise ValueError(f"{path}: expected a readable photo, got {error}") from error
 
 
@@ -108,9 +109,11 @@ def write_photo(path: str | Path, pixels: np.ndarray, like: PhotoFile | None = N
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(partial)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd EXIF, which is kept as far as the format takes it
+            write(partial)
         partial.replace(path)
-    except OSError as error:
+    except (OSError, ValueError, RuntimeError) as error:  # the last two where the photo is too large for the format
         raise ValueError(f"{path}: could not be written: {error}") from error
     finally:
         partial.unlink(missing_ok=True)

@@ -206,8 +206,9 @@ def eight_bits(stored: np.ndarray) -> np.ndarray:
 
 def to_image(stored: np.ndarray) -> Image.Image:
     """A Pillow picture of ``(H, W)`` grey, ``(H, W, 3)`` RGB or ``(H, W, 4)`` CMYK, uint8."""
-    mode = "L" if stored.ndim == 2 else {3: "RGB", 4: "CMYK"}[stored.shape[2]]
-    return Image.frombytes(mode, (stored.shape[1], stored.shape[0]), np.ascontiguousarray(stored).tobytes())
+    if stored.ndim == 2 or stored.shape[2] == 3:
+        return Image.fromarray(np.ascontiguousarray(stored))
+    return Image.frombytes("CMYK", (stored.shape[1], stored.shape[0]), stored.tobytes())
 
 
 _SRGB_CURVE = decode_srgb(np.linspace(0, 1, CODES))

@@ -12,7 +12,7 @@ from PIL import Image, ImageCms, ImageOps, features
 from facerelight.photo.exif import turn_upright
 from facerelight.photo.files import check_writable, find_photos, not_held, read_photo, write_photo
 from facerelight.photo.photograph import PhotoFile, from_pillow, to_pillow
-from facerelight.photo.profiles import SRGB, TableProfile, read_profile
+from facerelight.photo.profiles import SRGB, PlainCmyk, TableProfile, read_profile
 from facerelight.photo.sixteen_bits import write_png, write_tiff
 
 P3 = ((0.51512, 0.24120, -0.00105), (0.29198, 0.69225, 0.04189), (0.15710, 0.06657, 0.78407))  # XYZ, D50
@@ -33,13 +33,18 @@ def icc(curves: list[bytes], primaries: tuple[tuple[float, ...], ...] = P3, spac
     else:
         for letter, primary, curve in zip((b"r", b"g", b"b"), primaries, curves, strict=True):
             tags[letter + b"XYZ"], tags[letter + b"TRC"] = xyz(primary), curve
+    return assembled(tags, b"mntr", space, b"XYZ ")
+
+
+def assembled(tags: dict[bytes, bytes], kind: bytes, space: bytes, connection: bytes) -> bytes:
+    """The profile of ``tags``."""
     offset, table, body = 132 + 12 * len(tags), b"", b""
     for tag, data in tags.items():
         table += struct.pack(">4sII", tag, offset + len(body), len(data))
         body += data + bytes(-len(data) % 4)
-    head = struct.pack(">I4sI4s4s4s", offset + len(body), b"lcms", 0x02400000, b"mntr", space, b"XYZ ")
+    head = struct.pack(">I4sI4s4s4s", offset + len(body), b"lcms", 0x02400000, kind, space, connection)
     head += bytes(12) + b"acsp" + bytes(28)
-    head += struct.pack(">3i", *(round(v * 65536) for v in white)) + bytes(48)
+    head += struct.pack(">3i", 63190, 65536, 54061) + bytes(48)
     return head + struct.pack(">I", len(tags)) + table + body
 
 
@@ -283,6 +288,48 @@ def test_cmyk_stays_cmyk(tmp_path: Path) -> None:
     assert not_held("out.png", photo) == ["PNG holds no CMYK: converted to sRGB"]
 
 
+def lab_table(inputs: int, nodes: np.ndarray) -> bytes:
+    """A lut8Type of straight curves: ``nodes (grid ** inputs, outputs)`` uint8."""
+    grid, outputs = round(len(nodes) ** (1 / inputs)), nodes.shape[1]
+    matrix = struct.pack(">9i", *(65536 * (k % 4 == 0) for k in range(9)))
+    straight = bytes(range(256))
+    head = b"mft1\0\0\0\0" + bytes((inputs, outputs, grid, 0)) + matrix
+    return head + straight * inputs + nodes.astype(np.uint8).tobytes() + straight * outputs
+
+
+def cmyk_profile() -> bytes:
+    """A press that prints as Pillow thinks of CMYK, coarsely."""
+    lab, srgb = ImageCms.createProfile("LAB"), ImageCms.createProfile("sRGB")
+    steps = np.linspace(0, 255, 9).astype(np.uint8)
+    inks = np.stack(np.meshgrid(*[steps[::2]] * 4, indexing="ij"), -1).reshape(1, -1, 4)
+    to_lab, to_rgb = (ImageCms.buildTransform(*pair) for pair in ((srgb, lab, "RGB", "LAB"), (lab, srgb, "LAB", "RGB")))
+    seen = ImageCms.applyTransform(Image.frombytes("CMYK", inks.shape[1::-1], inks.tobytes()).convert("RGB"), to_lab)
+    forth = np.asarray(seen)[0] ^ np.array((0, 128, 128), np.uint8)  # Pillow's a and b are signed
+    colours = np.stack(np.meshgrid(*[steps] * 3, indexing="ij"), -1).reshape(1, -1, 3)
+    signed = colours ^ np.array((0, 128, 128), np.uint8)
+    rgb = ImageCms.applyTransform(Image.frombytes("LAB", signed.shape[1::-1], signed.tobytes()), to_rgb)
+    back = PlainCmyk().encode(SRGB.decode(np.asarray(rgb)[0] / 255)) * 255
+    tags = {b"desc": b"desc\0\0\0\0" + struct.pack(">I", 5) + b"test\0" + bytes(78), b"cprt": b"text\0\0\0\0none\0"}
+    tags |= {b"A2B0": lab_table(4, forth), b"B2A0": lab_table(3, np.rint(back))}
+    tags[b"wtpt"] = b"XYZ \0\0\0\0" + struct.pack(">3i", 63190, 65536, 54061)
+    return assembled(tags, b"prtr", b"CMYK", b"Lab ")
+
+
+def test_cmyk_profile(tmp_path: Path) -> None:
+    profile = cmyk_profile()
+    smooth = cv2.GaussianBlur(NOISE.integers(0, 256, (20, 30, 4)).astype(np.uint8), (0, 0), 3)
+    Image.frombytes("CMYK", (30, 20), smooth.tobytes()).save(tmp_path / "c.tif", icc_profile=profile)
+    photo = read_photo(tmp_path / "c.tif")
+    assert type(photo.profile) is TableProfile
+    for name in ("out.tif", "out.jpg"):
+        write_photo(tmp_path / name, relit(photo.pixels), photo)
+        again = read_photo(tmp_path / name)
+        assert again.mode == "CMYK"
+        assert again.icc == profile
+        assert np.abs(again.pixels.astype(int) - relit(photo.pixels)).mean() < 4
+    assert np.array_equal(outside(read_photo(tmp_path / "out.tif").stored), outside(smooth))
+
+
 def test_palette_and_float(tmp_path: Path) -> None:
     Image.fromarray(picture()).convert("P").save(tmp_path / "p.png")
     palette = read_photo(tmp_path / "p.png")
@@ -323,6 +370,34 @@ def test_avif(tmp_path: Path) -> None:
     assert photo.icc == WIDE
     write_photo(tmp_path / "out.avif", photo.pixels, photo)
     assert np.abs(read_photo(tmp_path / "out.avif").rgb - photo.rgb).mean() < 0.01
+
+
+@pytest.mark.parametrize("name", ["deep.png", "deep.tif", "in.avif"])
+def test_broken_files_are_refused_or_read(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if name == "in.avif":
+        if not features.check("avif"):
+            pytest.skip("this Pillow has no AVIF")
+        Image.fromarray(picture()).save(path)
+    else:
+        with path.open("wb") as file:
+            values = NOISE.integers(0, 65536, (20, 30, 3)).astype(np.uint16)
+            (write_png if name == "deep.png" else write_tiff)(file, values, WIDE, None, None)
+    whole = path.read_bytes()
+    for length in range(1, len(whole) - 12, max(len(whole) // 60, 1)):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match=f"{name}: expected"):
+            read_photo(path)
+    for place in range(0, len(whole), max(len(whole) // 60, 1)):
+        path.write_bytes(whole[:place] + b"\xff\x00\x80" + whole[place + 3 :])
+        try:
+            photo = read_photo(path)
+        except ValueError as refused:
+            message = str(refused)
+        else:
+            message = f"{path}: expected"
+            assert np.isfinite(photo.rgb).all()
+        assert message.startswith(f"{path}: expected")
 
 
 def test_heic_names_the_plug_in(tmp_path: Path) -> None:
