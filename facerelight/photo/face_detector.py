@@ -8,9 +8,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from facerelight.photo.copies import shrink
 from facerelight.photo.networks import YUNET, network_path
 
-__all__ = ["Candidate", "detect_faces", "merge_candidates", "shrink"]
+__all__ = ["Candidate", "detect_faces", "merge_candidates"]
 
 PAD = 0.2  # of the longer side, on every side: faces near the border
 OVERLAP = 0.5  # of the smaller face's size, between the centres of two that are one
@@ -64,17 +65,9 @@ def detect_faces(photo: np.ndarray, side: int, turn: float = 0.0, least: float =
     candidates = []
     for row in () if found is None else found.astype(np.float64):
         points = (row[4:14].reshape(5, 2) - shift) @ linear
-        candidates.append(Candidate((points + 0.5) * factor - 0.5, float(row[14])))
+        if np.abs(points - middle).max() < 2 * max(size):  # on tiny pictures the network may overflow
+            candidates.append(Candidate((points + 0.5) * factor - 0.5, float(row[14])))
     return sorted(candidates, key=lambda candidate: -candidate.score)
-
-
-def shrink(photo: np.ndarray, side: int) -> np.ndarray:
-    """The photo, averaged down to ``side`` pixels on its longer side where it is larger."""
-    height, width = photo.shape[:2]
-    if max(height, width) <= side:
-        return photo
-    scale = side / max(height, width)
-    return cv2.resize(photo, (max(1, round(width * scale)), max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
 
 
 def merge_candidates(candidates: list[Candidate]) -> list[Candidate]:

@@ -8,15 +8,16 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from facerelight.photo.copies import brighten
 from facerelight.photo.networks import FACE_MESH, network_path
 
 __all__ = ["FaceMesh", "fit_face_mesh"]
 
 SIZE = 192  # the network's input
-ROUNDS = 2  # the second crop is cut by what the first one found
-FIRST_SIDE = 1.5  # crop sides: in face heights, guessed from eyes and mouth ...
-NEXT_SIDE = 1.5  # ... and in sides of the box of all points, as the network was trained
-FACE_HEIGHT = 1.6  # of the larger of the eye distance times 1.5 and of eyes to mouth times 1.3
+ROUNDS = 10  # at most, until the crop stays in place
+NEAR_TURN, NEAR_SHIFT, NEAR_SCALE = 0.07, 0.03, 0.1  # radians, crop sides, logarithm: the crop stayed
+FIRST_SIDE = 2.4  # crop sides: of the larger of the eye distance times 1.5 and of eyes to mouth times 1.3 ...
+NEXT_SIDE = 1.5  # ... and of the box of all points, as the network was trained
 EYE_CORNERS = ((33, 133), (362, 263))  # at image-left, at image-right
 
 
@@ -28,7 +29,8 @@ class FaceMesh(NamedTuple):
 
 
 def fit_face_mesh(photo: np.ndarray, landmarks: np.ndarray, mirror: np.ndarray) -> FaceMesh:
-    """Fit the mesh to the face at ``landmarks``, twice: the second crop is cut by the points of the first; each pass once mirrored too.
+    """Fit the mesh to the face at ``landmarks``: every crop is cut by the points of the one before, until it stays in
+    place; the last ones are seen mirrored too, and averaged.
 
     Args:
         photo: ``(H, W, 3)`` uint8 sRGB.
@@ -38,41 +40,64 @@ def fit_face_mesh(photo: np.ndarray, landmarks: np.ndarray, mirror: np.ndarray) 
     Raises:
         RuntimeError: the network is missing, damaged or not readable by this OpenCV.
     """
-    left, right, mouth = np.asarray(landmarks, np.float64)
-    eyes, across = (left + right) / 2, right - left
-    down = np.array((-across[1], across[0])) / max(float(np.hypot(*across)), 1e-9)
-    drop = float((mouth - eyes) @ down)
-    side = FIRST_SIDE * FACE_HEIGHT * max(1.5 * float(np.hypot(*across)), 1.3 * drop)
-    centre = eyes + 0.55 * drop * down
-    mesh = FaceMesh(np.zeros((468, 3)), 0.0)
+    square = _guess(np.asarray(landmarks, np.float64))
     for _ in range(ROUNDS):
-        mesh = _both_ways(photo, centre, across, side, mirror)
-        flat = mesh.points[:, :2]
-        across = flat[list(EYE_CORNERS[1])].mean(0) - flat[list(EYE_CORNERS[0])].mean(0)
-        axes = _axes(across)
-        turned = flat @ axes.T
-        centre = (turned.max(0) + turned.min(0)) / 2 @ axes
-        side = NEXT_SIDE * float(np.ptp(turned, axis=0).max())
-    return mesh
+        before = square
+        square = _around(_look(photo, before).points)
+        if square.near(before):
+            break
+    plain, other = _look(photo, square), _look(photo, square, mirror)
+    return FaceMesh((plain.points + other.points) / 2, (plain.score + other.score) / 2)
 
 
-def _axes(across: np.ndarray) -> np.ndarray:
-    """The face's own axes, unit vectors in rows: from eye to eye, and down."""
-    x, y = across / max(float(np.hypot(*across)), 1e-9)
-    return np.array(((x, y), (-y, x)))
+class _Square(NamedTuple):
+    """What a crop shows: its ``centre (2,)``, the direction ``across (2,)`` from eye to eye, not normalised, and its ``side``."""
+
+    centre: np.ndarray
+    across: np.ndarray
+    side: float
+
+    @property
+    def axes(self) -> np.ndarray:
+        """The face's own axes, unit vectors in rows: from eye to eye, and down."""
+        x, y = self.across / max(float(np.hypot(*self.across)), 1e-9)
+        return np.array(((x, y), (-y, x)))
+
+    def near(self, other: _Square) -> bool:
+        """Whether the network would see about the same."""
+        turn = np.arctan2(*(other.axes @ self.axes[0])[::-1])
+        moved = np.hypot(*(self.centre - other.centre)) / self.side
+        return bool(abs(turn) < NEAR_TURN and moved < NEAR_SHIFT and abs(np.log(self.side / other.side)) < NEAR_SCALE)
 
 
-def _both_ways(photo: np.ndarray, centre: np.ndarray, across: np.ndarray, side: float, mirror: np.ndarray) -> FaceMesh:
-    """The mean of the network's points on a crop and on its mirror image."""
-    axes, scale = _axes(across), SIZE / side
-    middle = (SIZE - 1) / 2
-    crop = cut(photo, scale * axes, middle - scale * axes @ centre)
-    plain, score = _run(crop)
-    other, other_score = _run(np.ascontiguousarray(crop[:, ::-1]))
-    other = other[mirror] * (-1, 1, 1) + (SIZE - 1, 0, 0)
-    points = (plain + other) / 2
-    flat = (points[:, :2] - middle) / scale @ axes + centre
-    return FaceMesh(np.column_stack((flat, points[:, 2] / scale)), (score + other_score) / 2)
+def _guess(landmarks: np.ndarray) -> _Square:
+    left, right, mouth = landmarks
+    eyes, across = (left + right) / 2, right - left
+    unit = max(float(np.hypot(*across)), 1e-9)
+    down = np.array((-across[1], across[0])) / unit
+    drop = float((mouth - eyes) @ down)
+    return _Square(eyes + 0.55 * drop * down, across, FIRST_SIDE * max(1.5 * unit, 1.3 * drop))
+
+
+def _around(points: np.ndarray) -> _Square:
+    flat = points[:, :2]
+    across = flat[list(EYE_CORNERS[1])].mean(0) - flat[list(EYE_CORNERS[0])].mean(0)
+    square = _Square(flat.mean(0), across, 1.0)
+    turned = flat @ square.axes.T
+    low, high = turned.min(0), turned.max(0)
+    return _Square((low + high) / 2 @ square.axes, across, NEXT_SIDE * float((high - low).max()))
+
+
+def _look(photo: np.ndarray, square: _Square, mirror: np.ndarray | None = None) -> FaceMesh:
+    """The network's points on one crop, or on its mirror image, in the photo's pixels."""
+    scale, middle = SIZE / square.side, (SIZE - 1) / 2
+    linear = scale * square.axes
+    crop = brighten(cut(photo, linear, middle - linear @ square.centre))
+    points, score = _run(crop if mirror is None else np.ascontiguousarray(crop[:, ::-1]))
+    if mirror is not None:
+        points = points[mirror] * (-1, 1, 1) + (SIZE - 1, 0, 0)
+    flat = (points[:, :2] - middle) / scale @ square.axes + square.centre
+    return FaceMesh(np.column_stack((flat, points[:, 2] / scale)), score)
 
 
 def cut(photo: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:

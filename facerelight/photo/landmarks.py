@@ -13,19 +13,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.photo.face_detector import Candidate, detect_faces, merge_candidates, shrink
+from facerelight.photo.copies import brighten, shrink
+from facerelight.photo.face_detector import Candidate, detect_faces, merge_candidates
 from facerelight.photo.face_mesh import fit_face_mesh
 from facerelight.photo.haar import haar_landmarks
 from facerelight.photo.head_pose import HeadPose, RigidFit, canonical_face, fit_rigid_face, model_landmarks
 
 __all__ = ["Face", "HeadPose", "LandmarksNotFoundError", "face_at", "find_faces", "find_landmarks"]
 
+Box = tuple[float, float, float, float]  # x0, y0, x1, y1
 Detector = Literal["auto", "haar", "yunet"]
 FIRST_SIDE = 448  # pixels of the copy that is searched first
 MORE_SIDES = (192, 1280)  # for faces that fill the picture, and for small ones
 TURNS = (45.0, -45.0, 90.0, -90.0, 180.0)  # degrees, tried last
 SMALL = 25.0  # pixels of the first copy: where the faces are smaller there may be more that it does not show
 TOUCH = 0.04  # of a face's size that may lie outside the picture
+COVERED = 0.4  # of the smaller of two boxes: they are of one face
 CASCADE_SIDE = 1024
 
 
@@ -39,8 +42,9 @@ class Limits(NamedTuple):
     apart: float
 
 
-PLAUSIBLE = Limits(0.6, 0.6, 0.16, 0.45)
-CLEAR = Limits(0.88, 0.98, 0.14, 0.3)
+PLAUSIBLE = Limits(0.45, 0.6, 0.16, 0.9)
+# Upright faces have mesh scores above 0.9999, the same faces upside down less; what is no face has less than 0.05.
+CLEAR = Limits(0.6, 0.9999, 0.14, 0.9)
 
 
 class LandmarksNotFoundError(RuntimeError):
@@ -59,7 +63,7 @@ class Face(NamedTuple):
 
     landmarks: np.ndarray
     points: np.ndarray | None
-    box: tuple[float, float, float, float]
+    box: Box
     score: float
     pose: HeadPose | None
     whole: bool
@@ -160,7 +164,7 @@ def face_at(photo: np.ndarray, landmarks: np.ndarray | Tensor) -> Face:
 def _search(photo: np.ndarray) -> list[Face]:
     """Faces by the networks; more copies are searched only where the first ones show no clear face, or only small ones."""
     height, width = photo.shape[:2]
-    base = shrink(photo, MORE_SIDES[-1])
+    base = brighten(shrink(photo, MORE_SIDES[-1]))
     factor = np.array((width / base.shape[1], height / base.shape[0]))
     candidates: list[Candidate] = []
     known: dict[int, _Fitted] = {}  # by the candidate's identity: nothing is fitted twice
@@ -178,13 +182,43 @@ def _search(photo: np.ndarray) -> list[Face]:
     largest = max((one.candidate.size for one in found), default=0.0) * min(1.0, FIRST_SIDE / max(photo.shape[:2]))
     if largest < SMALL:
         found = clear(*((side, 0.0) for side in MORE_SIDES if side < FIRST_SIDE or max(base.shape[:2]) > 1.3 * FIRST_SIDE))
+    upright = {id(one) for one in candidates}
     if not found:
         clear(*((FIRST_SIDE, turn) for turn in TURNS))
-    return [one.face for one in known.values() if one.within(PLAUSIBLE)]
+    limits = {key: PLAUSIBLE if key in upright else CLEAR for key in known}
+    return _distinct([one.face for key, one in known.items() if one.within(limits[key])])
+
+
+def _distinct(faces: list[Face]) -> list[Face]:
+    """Of those that cover each other, the surest."""
+    kept: list[Face] = []
+    for face in sorted(faces, key=lambda face: -face.mesh_score):
+        if all(_overlap(face.box, other.box) < COVERED for other in kept):
+            kept.append(face)
+    return kept
+
+
+def _overlap(one: Box, other: Box) -> float:
+    """The common area of two boxes, as a part of the smaller one."""
+    width = min(one[2], other[2]) - max(one[0], other[0])
+    height = min(one[3], other[3]) - max(one[1], other[1])
+    areas = [(box[2] - box[0]) * (box[3] - box[1]) for box in (one, other)]
+    return max(width, 0.0) * max(height, 0.0) / max(min(areas), 1e-9)
 
 
 def _fit(photo: np.ndarray, candidate: Candidate) -> _Fitted:
-    """Dense points, landmarks and pose from a candidate, and how well they agree."""
+    """Dense points, landmarks and pose from a candidate, and how well they agree; upside down where that is the better face."""
+    fitted = _fit_upright(photo, candidate)
+    if fitted.face.mesh_score < CLEAR.mesh:
+        points = candidate.points
+        middle = (points[:2].mean(0) + points[3:].mean(0)) / 2
+        other = _fit_upright(photo, candidate._replace(points=2 * middle - points))
+        if other.face.mesh_score > fitted.face.mesh_score:
+            return other._replace(candidate=candidate)
+    return fitted
+
+
+def _fit_upright(photo: np.ndarray, candidate: Candidate) -> _Fitted:
     mesh = fit_face_mesh(photo, candidate.landmarks, canonical_face().mirror)
     fit = fit_rigid_face(mesh.points)
     landmarks = model_landmarks(mesh.points, fit)
@@ -210,12 +244,12 @@ def _bare_face(photo: np.ndarray, landmarks: np.ndarray) -> Face:
     return Face(landmarks, None, box, 0.0, None, _inside(box, photo), 0.0)
 
 
-def _box(points: np.ndarray) -> tuple[float, float, float, float]:
+def _box(points: np.ndarray) -> Box:
     (x0, y0), (x1, y1) = points[:, :2].min(0), points[:, :2].max(0)
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def _inside(box: tuple[float, float, float, float], photo: np.ndarray) -> bool:
+def _inside(box: Box, photo: np.ndarray) -> bool:
     x0, y0, x1, y1 = box
     height, width = photo.shape[:2]
     slack = TOUCH * max(x1 - x0, y1 - y0) + 0.5
