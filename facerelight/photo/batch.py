@@ -239,6 +239,8 @@ def _check_outputs(jobs: Sequence[Job], photos: Sequence[Path], force: bool) -> 
                 other = "a result as well" if seen[place] == job.photo else f"what comes of {seen[place]} as well"
                 raise ValueError(f"{path}: expected a file for every result of {job.photo}, but this one is {other}")
             seen[place] = job.photo
+            if place in inputs and place != job.photo.resolve():
+                raise ValueError(f"{path}: is itself a photo of this batch; --output says another place")
             if path.exists() and not force:
                 what = "is a photo to be relit" if place in inputs else "exists already"
                 raise ValueError(f"{path}: {what}; --force overwrites it, --output says another place")

@@ -47,7 +47,7 @@ def relight_parser() -> ArgumentParser:
     option = parser.add_argument_group("the photo").add_argument
     which = "which of several faces: the largest whole one, all, or the N-th, whole ones first, then by size"
     option("--face", type=_face, default="largest", metavar="largest|all|N", help=which)
-    option("--landmarks", metavar="X,Y,X,Y,X,Y", help="eye at image-left, eye at image-right, mouth, in pixels")
+    option("--landmarks", metavar="X,Y,X,Y,X,Y", help="of the upright photo: eye at image-left, other eye, mouth")
     option("--same-person", action="store_true", help="the further photos are evidence of the first one's person")
     option("--source-light", metavar="AZ,EL", help="where the photo's own light stands, if it is known")
     option = parser.add_argument_group("the results").add_argument

@@ -196,6 +196,9 @@ def test_nothing_is_overwritten_without_a_word(made: list[FakeSession], capsys: 
     assert not made
     assert Path("relit.png").read_bytes() == before
     assert not Path("b.png").exists()
+    photo("a_relit.png")
+    assert run("a.png", "a_relit.png", "--output", ".", "--force") == 2  # one would be read after it was overwritten
+    assert "a_relit.png: is itself a photo" in capsys.readouterr().err
     assert run("a.png", "--force") == 0
     assert Path("relit.png").read_bytes() != before
 
