@@ -21,21 +21,22 @@ def exif_of(image: Image.Image) -> tuple[bytes | None, int]:
     Returns:
         ``(exif, orientation)``; exif None where there is none or where it is broken.
     """
+    orientation = 1
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = image.getexif()
-            orientation = found.get(ORIENTATION, 1)
+            if found.get(ORIENTATION) in range(1, 9):
+                orientation = found[ORIENTATION]
             raw = _described(found) if image.format == "TIFF" else image.info.get("exif") or found.tobytes()
             raw = _upright(raw.removeprefix(PREFIX))
             check = Image.Exif()
             check.load(PREFIX + raw)
             check.get_ifd(0x8769)
             check.tobytes()
-            exif = PREFIX + raw if len(check) else None
+            return PREFIX + raw if len(check) else None, orientation
     except Exception:  # broken EXIF makes Pillow raise nearly anything; the picture is good without it
-        return None, 1
-    return exif, orientation if orientation in range(1, 9) else 1
+        return None, orientation
 
 
 def turn_upright(pixels: np.ndarray, orientation: int) -> np.ndarray:

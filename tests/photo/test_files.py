@@ -216,6 +216,16 @@ def test_exif_on_a_pillow_image_and_kept(orientation: int, tmp_path: Path) -> No
     assert to_pillow(photo, photo.pixels).getexif()[0x010F] == "camera"
 
 
+def test_broken_settings_but_a_good_orientation(tmp_path: Path) -> None:
+    entries = struct.pack("<HHII", 0x0112, 3, 1, 6) + struct.pack("<HHII", 0x8769, 4, 1, 0xFFFFFF)
+    raw = b"Exif\0\0II*\0\x08\0\0\0" + struct.pack("<H", 2) + entries + bytes(4)
+    Image.fromarray(picture()).save(tmp_path / "in.jpg", exif=raw)
+    photo = read_photo(tmp_path / "in.jpg")
+    assert photo.stored.shape == (30, 20, 3)
+    write_photo(tmp_path / "out.jpg", photo.pixels, photo)
+    assert read_photo(tmp_path / "out.jpg").stored.shape == (30, 20, 3)
+
+
 def test_exif_of_a_tiff_says_nothing_of_its_strips(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x010F] = "camera"
