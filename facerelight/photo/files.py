@@ -101,6 +101,16 @@ def write_photo(path: str | Path, pixels: np.ndarray, like: PhotoFile | None = N
 
     Raises:
         ValueError: a suffix of no known format, a place that cannot be written to, or pixels unlike the photo's.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "grey.png"
+        ...     Image.new("L", (9, 8), 100).save(path)
+        ...     photo = read_photo(path)
+        ...     write_photo(path, photo.pixels + np.uint8(20), photo)
+        ...     (photo.pixels.shape, photo.mode, int(read_photo(path).stored[0, 0]))
+        ((8, 9, 3), 'L', 120)
     """
     path = Path(path)
     kind = check_writable(path)
