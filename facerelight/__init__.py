@@ -9,11 +9,14 @@ if TYPE_CHECKING:
     from facerelight.lights import angles_from_light, light_from_angles
     from facerelight.photo import PhotoRelighter, relight
     from facerelight.relighter import StatisticalRelighter
-    from facerelight.statistics import FaceStatistics
+    from facerelight.sources import Lamp, LightMixture
+from facerelight.statistics import FaceStatistics
 
 __all__ = [
     "FaceStatistics",
     "KernelIlluminationEstimator",
+    "Lamp",
+    "LightMixture",
     "PhotoRelighter",
     "StatisticalRelighter",
     "angles_from_light",

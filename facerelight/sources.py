@@ -29,12 +29,14 @@ class LightMixture(NamedTuple):
     """Distant light as a weighted sum of points.
 
     ``directions (P, 3)`` unit vectors; ``weights (P, 3)`` non-negative linear RGB, in units of a lamp of power 1; ``size (P,)`` degrees, the
-    angular radius of the source that a point stands for, which says how soft its shadows are.
+    angular radius of the source that a point stands for, which says how soft its shadows are; ``source (P,)`` int64, points of one number
+    make one source.
     """
 
     directions: Tensor
     weights: Tensor
     size: Tensor
+    source: Tensor
 
     @property
     def white(self) -> bool:
@@ -94,7 +96,7 @@ class Lamp:
         colour = torch.tensor(self.colour, dtype=torch.float64)
         colour = colour / (colour @ torch.tensor(LUMINANCE, dtype=torch.float64))
         weights = (self.power / count * colour).expand(count, 3)
-        return LightMixture(points.float(), weights.float(), torch.full((count,), float(self.size)))
+        return LightMixture(points.float(), weights.float(), torch.full((count,), float(self.size)), torch.zeros(count, dtype=torch.long))
 
 
 def fill_light(strength: float) -> LightMixture:
@@ -102,7 +104,7 @@ def fill_light(strength: float) -> LightMixture:
     directions = even_hemisphere(FILL_POINTS)
     share = 0.6 + 0.4 * directions[:, 1]
     weights = (strength * FILL_STRENGTH * share / share.sum())[:, None].expand(-1, 3)
-    return LightMixture(directions, weights, torch.full((FILL_POINTS,), 20.0))
+    return LightMixture(directions, weights, torch.full((FILL_POINTS,), 20.0), torch.zeros(FILL_POINTS, dtype=torch.long))
 
 
 def scene_light(sources: Sequence[Lamp | LightMixture], fill: float = 0.0) -> LightMixture:
@@ -119,4 +121,10 @@ def scene_light(sources: Sequence[Lamp | LightMixture], fill: float = 0.0) -> Li
     parts = [part._replace(weights=(1 - fill) * part.weights) for part in parts]
     if fill > 0:
         parts.append(fill_light(fill))
-    return LightMixture(*(torch.cat([part[k] for part in parts]) for k in range(3)))
+    directions, weights, size, _ = (torch.cat(part) for part in zip(*parts, strict=True))
+    first = 0
+    numbers = []
+    for part in parts:
+        numbers.append(part.source + first)
+        first = int(numbers[-1].max()) + 1
+    return LightMixture(directions, weights, size, torch.cat(numbers))

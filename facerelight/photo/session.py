@@ -1,39 +1,54 @@
-"""A colour photograph under a new light, at its own resolution; what is not the face stays as it is.
+"""A photograph under new light, whole: conditioned once, rendered under as many lights as wanted, at its own resolution.
 
-sRGB is decoded to linear light first and encoded last. The face is relit at the canonical crop; the ratio of relit to input goes back
-to the photo's own pixels, so detail and colour are the photo's. Where the input is too dark for a ratio, the model's own prediction fills in.
+The order: the face is found and its window cut out; the statistical model is conditioned on the face; a matte and the mean bust say where the
+person is and what shape; a light becomes a log ratio over the whole bust; and that is put on the photograph's own pixels, which stay as
+they are wherever the person is not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Literal
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Literal, TypeVar
 
-import kornia
+import cv2
 import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
 
-from facerelight.alignment import CropFrame, fit_similarity, warp_from_crop, warp_to_crop
+from facerelight.alignment import fit_similarity
 from facerelight.config import default_statistics_folder, quality_config
-from facerelight.covariance import prior_mean
-from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
 from facerelight.lights import angles_from_light, light_from_angles
-from facerelight.mle import MaximumLikelihood
-from facerelight.photo.face_mask import face_mask
-from facerelight.photo.landmarks import find_landmarks
-from facerelight.relighter import METHODS, Method, StatisticalRelighter
+from facerelight.photo.bust import fit_bust, make_bust
+from facerelight.photo.colour import LUMA, SkinColour, skin_colour, to_scene
+from facerelight.photo.compose import Changes, change_pixels
+from facerelight.photo.face_model import FaceModel, crop_frame
+from facerelight.photo.features import Features, facial_features
+from facerelight.photo.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
+from facerelight.photo.head_pose import HeadPose
+from facerelight.photo.landmarks import Face, LandmarksNotFoundError, face_at, find_faces
+from facerelight.photo.matte import person_matte
+from facerelight.photo.pixels import as_bytes, as_rgb, like, small_copy
+from facerelight.photo.ratio import FaceEvidence, LightRatio
+from facerelight.photo.shading import BustShading
+from facerelight.photo.stages import Stage, StageLog
+from facerelight.relighter import Method, StatisticalRelighter
+from facerelight.sources import Lamp, LightMixture, scene_light
 
-__all__ = ["PhotoRelighter", "crop_frame", "load_relighter", "relight"]
+__all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
-DARK = 0.05  # linear radiance below which a ratio would only amplify noise
-LARGEST_RATIO = 4.0
-LIGHT_DRAWS = 16
+POSE_LIMIT = 20.0  # degrees of yaw or pitch beyond which the statistics, which are of frontal faces, do not reach
+EXPOSED = 0.85  # quantile of skin luminance that a new light is exposed for
+DARKER, BRIGHTER = -0.5, 0.6  # the most by which exposure goes with it, in log
+EYEBALL = 0.3  # of a log ratio that wet eyes do not follow: they mirror the room
+NECK_BENDS = np.deg2rad(35.0)
+FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
 Quality = Literal["draft", "standard", "reference"]
-Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
-LUMA = (0.2126, 0.7152, 0.0722)
+Landmarks = Tensor | np.ndarray | Sequence[Sequence[float]]
+Source = Lamp | LightMixture
+Picture = TypeVar("Picture", np.ndarray, Image.Image)
 
 
 def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
@@ -51,28 +66,40 @@ def load_relighter(quality: Quality = "standard", cache: str | None = None) -> S
 
 
 def relight(
-    photo: np.ndarray | Image.Image,
+    photo: Picture,
     azimuth: float = 0.0,
     elevation: float = 0.0,
-    landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None = None,
+    landmarks: Landmarks | None = None,
     relighter: StatisticalRelighter | None = None,
     quality: Quality = "standard",
-) -> np.ndarray | Image.Image:
-    """Relight the face in a photo.
+    *,
+    lights: Sequence[Source] | None = None,
+    size: float = 5.0,
+    fill: float = 0.1,
+    strength: float = 1.0,
+    device: str | torch.device = "cpu",
+) -> Picture:
+    """Relight the person in a photo: face, hair, neck and shoulders; the background stays as it is.
 
     Args:
-        photo: ``(H, W, 3)`` uint8 sRGB, as a NumPy array or a Pillow image.
-        azimuth: degrees, where the new light stands; positive at image-left.
+        photo: a Pillow image of any usual mode, or an array ``(H, W)``, ``(H, W, 3)`` or ``(H, W, 4)`` of uint8, uint16 or float in 0..1, sRGB.
+        azimuth: degrees, where the new lamp stands; positive at image-left.
         elevation: degrees; positive above.
-        landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None finds them.
+        landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None finds the largest face.
         relighter: default: the one with the cached statistics of ``quality`` (``facerelight train`` makes them).
         quality: "draft", "standard" or "reference": coarser statistics of fewer heads, or finer ones of more.
+        lights: several lamps, or other mixtures of lights, instead of one at ``azimuth``, ``elevation``.
+        size: angular radius of the lamp in degrees: 1 a bare bulb, 5 a small reflector, 15 a soft box, 40 a window.
+        fill: share of light from all around, 0 to 1; 0.06 is dramatic, 0.15 a studio.
+        strength: 0 the photo, 1 the relit picture, between them a mixture.
+        device: where the statistical model computes.
 
     Returns:
-        The relit photo, of the type and size that came in. For many lights, use :class:`PhotoRelighter`.
+        The relit photo, of the type, mode, depth and size that came in; a Pillow image is turned upright by its EXIF orientation.
+        For many lights, use :class:`PhotoRelighter`.
 
     Raises:
-        ValueError: a photo or landmarks that cannot be used.
+        ValueError: a photo, landmarks, angles or lights that cannot be used.
         RuntimeError: no statistics yet, or no face found.
 
     Example:
@@ -80,23 +107,24 @@ def relight(
         >>> relight(astronaut(), azimuth=-60, elevation=20).shape  # doctest: +SKIP
         (512, 512, 3)
     """
-    array = np.asarray(photo.convert("RGB")) if isinstance(photo, Image.Image) else photo
-    relit = PhotoRelighter(array, landmarks, relighter, quality=quality).render(azimuth, elevation)
-    return Image.fromarray(relit) if isinstance(photo, Image.Image) else relit
+    wanted = [Lamp(azimuth, elevation, size)] if lights is None else list(lights)
+    scene_light(wanted, fill)  # said before the work what is wrong with them
+    _check_share("strength", strength)
+    if isinstance(photo, Image.Image):
+        from facerelight.photo.photograph import from_pillow, to_pillow
 
-
-def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
-    """The crop that a relighter's statistics are of."""
-    height, width = relighter.statistics.size
-    margin = float(relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
-    return CropFrame(height, width, margin)
+        opened = from_pillow(photo)
+        session = PhotoRelighter(opened.pixels, landmarks, relighter, quality=quality, device=device)
+        return to_pillow(opened, session.render(wanted, fill=fill, strength=strength))
+    session = PhotoRelighter(photo, landmarks, relighter, quality=quality, device=device)
+    return session.render(wanted, fill=fill, strength=strength)
 
 
 class PhotoRelighter:
     """One photo, conditioned once and rendered under as many lights as wanted.
 
     Args:
-        photo: ``(H, W, 3)`` uint8 sRGB, or float sRGB-coded in 0..1.
+        photo: an array as for :func:`relight`; grey ones are seen as grey RGB, alpha is kept.
         landmarks: as for :func:`relight`.
         relighter: as for :func:`relight`.
         source_light: ``(3,)`` unit vector where the photo's light is known; None estimates it.
@@ -104,160 +132,284 @@ class PhotoRelighter:
         method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own uncertainty counted in;
             "mle": n without a prior, from three photos or more under different lights.
         quality: as for :func:`relight`.
+        face: which face, as :func:`facerelight.photo.landmarks.find_faces` found it; ``landmarks`` are then its own.
+        stages: "auto" simulates what each scene calls for, "all" everything; the pictures are the same.
+        device: where the statistical model computes.
 
     Raises:
         ValueError: a photo or landmarks that cannot be used, or too few photos for the method.
+        LandmarksNotFoundError: no face was found.
     """
 
     def __init__(
         self,
         photo: np.ndarray,
-        landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None = None,
+        landmarks: Landmarks | None = None,
         relighter: StatisticalRelighter | None = None,
         source_light: Tensor | None = None,
         more: Sequence[np.ndarray] = (),
         method: Method = "expected",
         quality: Quality = "standard",
+        *,
+        face: Face | None = None,
+        stages: Literal["auto", "all"] = "auto",
+        device: str | torch.device = "cpu",
     ) -> None:
-        self.relighter = relighter or load_relighter(quality)
+        if stages not in ("auto", "all"):
+            raise ValueError(f"stages: expected 'auto' or 'all', got {stages!r}")
+        self._log, self._exhaustive = StageLog(), stages == "all"
+        self.photo, self._pixels = photo, as_rgb(photo)
+        self.relighter = (relighter or load_relighter(quality)).to(device)
         self.frame = crop_frame(self.relighter)
-        self.coded, self.landmarks, self.matrix, crop = self._align(photo, landmarks)
-        self.linear = kornia.color.rgb_to_linear_rgb(self.coded)
-        self.luminance, self.mask = _luminance(crop), face_mask(crop[0], self.frame)
-        self.source_light, equivalent = self._single_light(self.luminance, self.mask, source_light)
-        evidence, mask = [(equivalent, self.source_light)], self.mask
-        for other in more:
-            crop = self._align(other, None)[3]
-            other_mask = face_mask(crop[0], self.frame)
-            light, equivalent = self._single_light(_luminance(crop), other_mask, None)
-            evidence.append((equivalent, light))
-            mask = torch.minimum(mask, other_mask)
-        images, lights = (torch.stack(parts) for parts in zip(*evidence, strict=True))
-        self._mean, self._variance = self._conditioned(images, lights, mask, method)
-        # The new lamp is as strong as keeps the face's brightness when it stands at the camera.
-        at_camera = self._mean(torch.tensor([[0.0, 0.0, 1.0]]))[0, 0].clamp_min(0)
-        self.exposure = float((self.luminance * self.mask).sum() / (at_camera * self.mask).sum().clamp_min(1e-6)) or 1.0
+        with self._log.measure("face", "given by hand" if landmarks is not None else "found"):
+            self.face = _locate(self._pixels, landmarks, face)
+        self.window, crop = self._align(self._pixels, self.face.landmarks)
+        self._copy = small_copy(self._pixels, self.window)
+        self._scene = to_scene(self._copy)
+        with self._log.measure("model", "the face's statistics"):
+            crops = [
+                crop,
+                *(self._align(as_rgb(other), _locate(as_rgb(other), None, None).landmarks)[1] for other in more),
+            ]
+            self.model = FaceModel(self.relighter, crops, source_light, method)
 
-    def _align(self, photo: np.ndarray, landmarks: Tensor | np.ndarray | list[tuple[float, float]] | None) -> tuple[Tensor, ...]:
-        """sRGB-coded ``(1, 3, H, W)``, landmarks, the matrix into the crop, and the linear crop ``(1, 3, h, w)``."""
-        coded = _as_float(photo)
-        if landmarks is None:
-            landmarks = find_landmarks((coded * 255).round().astype(np.uint8))
-        points = _check_landmarks(landmarks, coded.shape)
-        matrix = fit_similarity(points, self.frame.landmarks)[None]
-        image = torch.from_numpy(np.ascontiguousarray(coded)).permute(2, 0, 1)[None]
-        return image, points, matrix, warp_to_crop(kornia.color.rgb_to_linear_rgb(image), matrix, self.frame)
+    # -- what is known of the photo -------------------------------------------------------------------------------------
 
-    def _conditioned(self, images: Tensor, lights: Tensor, mask: Tensor, method: Method) -> tuple[Renderer, Renderer]:
-        """What renders the person of ``images (K, h, w)``, and its variance, under any light."""
-        if method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-        if method == "mle":
-            fixed = MaximumLikelihood(self.relighter.statistics, images, lights)
-            return (lambda target: fixed.relight(target).mean[None]), (lambda target: fixed.relight(target).variance[None])
-        if method == "expected":
-            posterior = self.relighter.condition(images[None], lights, mask=mask[None])
-            return posterior.mean, posterior.variance
-        estimator = self.relighter.estimator
-        spread = estimator.error_factor if isinstance(estimator, KernelIlluminationEstimator) else 0.1 * torch.eye(3)
-        noise = quasi_normal(LIGHT_DRAWS, 3 * len(lights)).view(LIGHT_DRAWS, -1, 3)
-        seen = lights.square().sum(-1, keepdim=True) > 0
-        drawn = torch.nn.functional.normalize(lights + noise @ spread.T, dim=-1) * seen
-        posterior = self.relighter.condition(images[None], drawn[None], mask=mask[None])
-        return posterior.mode, posterior.variance
+    @property
+    def landmarks(self) -> Tensor:
+        """Eye centre at image-left, eye centre at image-right, mouth centre, ``(3, 2)`` float64 pixels (x, y)."""
+        return torch.from_numpy(np.array(self.face.landmarks, np.float64))
 
-    def _single_light(self, luminance: Tensor, mask: Tensor, known: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The one light that comes nearest to the photo's own, and what the crop would look like under it at unit strength.
+    @property
+    def pose(self) -> HeadPose | None:
+        """How the head is turned, degrees; None where its dense points were not found."""
+        return self.face.pose
 
-        Few photos are lit by one lamp. The photo's light is fitted as a mixture of lights on the average face, and the quotient of the
-        average face under the mixture and under the one light (its middle) takes the crop from one to the other.
-        """
-        statistics = self.relighter.statistics
-        size = statistics.size
-        average = prior_mean(statistics, statistics.lights).unflatten(1, size)
-        amounts = fit_soft_light(average, luminance, mask)
-        strength = float(amounts.sum())
-        if strength < 1e-4:
-            return torch.zeros(3), luminance
-        share = amounts / strength
-        light = torch.nn.functional.normalize(share @ statistics.lights if known is None else known.reshape(3).to(share), dim=0)
-        mixture = torch.tensordot(share, average.clamp_min(0), 1)
-        single = prior_mean(statistics, light[None]).view(size).clamp_min(0)
-        quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_RATIO, LARGEST_RATIO)
-        return light, luminance / strength * (quotient if known is None else 1)
+    @property
+    def light(self) -> LightMixture:
+        """The photo's own light, as fitted; rendered with ``fill=0`` it gives the photo back."""
+        return self.model.light
+
+    @property
+    def source_light(self) -> Tensor:
+        """The middle of the photo's own light, ``(3,)``; zero for a black photo."""
+        return self.model.source_light
 
     @property
     def source_angles(self) -> tuple[float, float]:
-        """Azimuth and elevation in degrees of the middle of the photo's own light, as estimated or given; 0, 0 for a black photo."""
+        """Azimuth and elevation in degrees of :attr:`source_light`; 0, 0 for a black photo."""
         if float(self.source_light.square().sum()) == 0:
             return 0.0, 0.0
         azimuth, elevation = angles_from_light(self.source_light)
         return float(azimuth), float(elevation)
 
+    @property
+    def luminance(self) -> Tensor:
+        """Scene radiance of the aligned face, ``(h, w)``."""
+        return self.model.luminance
+
+    @property
+    def mask(self) -> Tensor:
+        """Where the aligned crop shows the face, ``(h, w)`` in 0..1."""
+        return self.model.mask
+
+    @property
+    def matte(self) -> np.ndarray:
+        """Cover of the person in 0..1, ``(H, W)`` float32; 0 beyond the bust."""
+        matte = np.zeros(self._pixels.shape[:2], np.float32)
+        part = matte[self.window.rows, self.window.columns]
+        part[...] = cv2.resize(self._cover, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        return matte
+
+    @property
+    def stages(self) -> list[Stage]:
+        """Which stages ran so far, why, and what each cost."""
+        return list(self._log.stages)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user should know before trusting the result."""
+        said = []
+        if self.pose is not None and max(abs(self.pose.yaw), abs(self.pose.pitch)) > POSE_LIMIT:
+            angles = f"{abs(self.pose.yaw):.0f} degrees to the side and {abs(self.pose.pitch):.0f} up or down"
+            said.append(f"pose: the head is turned {angles}; the statistics are of faces within about {POSE_LIMIT:.0f}")
+        if not self.face.whole:
+            said.append("face: the picture's border cuts it; what is outside is guessed")
+        return said
+
     def crops(self, lights: Tensor) -> Tensor:
-        """The aligned face under unit ``lights (Q, 3)``, linear radiance before exposure, ``(Q, h, w)``."""
-        return self._mean(lights)[0]
+        """The aligned face under unit ``lights (Q, 3)``, scene radiance before exposure, ``(Q, h, w)``."""
+        return self.model.crops(lights)
+
+    # -- rendering --------------------------------------------------------------------------------------------------------
 
     @torch.inference_mode()
-    def render(self, azimuth: float, elevation: float) -> np.ndarray:
-        """The photo with its face lit from ``azimuth``, ``elevation`` (degrees): ``(H, W, 3)`` uint8 sRGB."""
-        target = light_from_angles(float(azimuth), float(elevation))[None]
-        relit = self.crops(target)[0].clamp_min(0) * self.exposure
-        # Fine detail is the photo's own: the ratio is taken between slightly smoothed images.
-        smooth, base = kornia.filters.gaussian_blur2d(torch.stack((relit, self.luminance))[None], (9, 9), (1.5, 1.5))[0]
-        ratio = (smooth / base.clamp_min(DARK)).clamp_max(LARGEST_RATIO)
-        rest = (smooth - ratio * base).clamp_min(0)  # what no ratio can bring out of the dark
-        ratio, rest, mask = self._to_photo(ratio, rest, self.mask)
-        color = (self.linear * mask).sum((2, 3), keepdim=True)
-        color = color / (color * torch.tensor(LUMA)[:, None, None]).sum(1, keepdim=True).clamp_min(1e-6)
-        changed = _soft_clip(self.linear * ratio + color * rest)
-        mixed = self.linear + mask * (changed - self.linear)
-        coded = torch.where(mask > 0, kornia.color.linear_rgb_to_rgb(mixed.clamp(0, 1)), self.coded)
-        return (coded[0].permute(1, 2, 0) * 255).round().clamp(0, 255).byte().numpy()
+    def render(
+        self,
+        lights: float | Source | Sequence[Source] = 0.0,
+        elevation: float | None = None,
+        *,
+        size: float = 5.0,
+        fill: float = 0.1,
+        strength: float = 1.0,
+    ) -> np.ndarray:
+        """The photo under new light, of its own shape and dtype.
+
+        Args:
+            lights: a :class:`facerelight.Lamp`, a list of them, a :class:`facerelight.LightMixture`, or a lamp's azimuth in degrees.
+            elevation: degrees, with an azimuth.
+            size, fill, strength: as for :func:`relight`.
+
+        Raises:
+            ValueError: lights that cannot be used.
+        """
+        if isinstance(lights, int | float):
+            sources: list[Source] = [Lamp(float(lights), float(elevation or 0.0), size)]
+        elif elevation is not None:
+            raise ValueError("elevation: expected with an azimuth in degrees alone; a Lamp has its own")
+        else:
+            sources = [lights] if isinstance(lights, Lamp | LightMixture) else list(lights)
+        _check_share("strength", strength)
+        light = scene_light(sources, fill)
+        ratio = self._ratio
+        marched = ratio.shading.marches
+        with self._log.measure("light", f"{len(light.directions)} points"):
+            log_ratio = ratio(light)
+            log_ratio = np.stack(
+                [
+                    self.window.back(np.ascontiguousarray(part, np.float32), FINE)
+                    for part in np.moveaxis(log_ratio, -1, 0)
+                ],
+                -1,
+            )
+            log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
+            log_ratio = log_ratio + self._exposure(log_ratio)
+        if ratio.shading.marches == marched:
+            self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
+        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, float(strength))
+        with self._log.measure("pixels", "the person's part of the picture"):
+            relit = change_pixels(self._pixels, self.window, changes)
+        return like(self.photo, relit)
 
     @torch.inference_mode()
     def std(self, azimuth: float, elevation: float) -> np.ndarray:
-        """How unsure :meth:`render` is: the standard deviation of linear radiance, ``(H, W)`` float32, 0 outside the face."""
-        target = light_from_angles(float(azimuth), float(elevation))[None]
-        std = self._variance(target)[0, 0].sqrt() * self.exposure
-        std, mask = self._to_photo(std, self.mask)
-        return (std * mask).numpy()
+        """How unsure the model is of the face: the standard deviation of scene radiance, ``(H, W)`` float32, 0 outside the face."""
+        maps = self.model.std(light_from_angles(float(azimuth), float(elevation))) * self.mask.numpy()
+        height, width = self._pixels.shape[:2]
+        out = np.zeros((height, width), np.float32)
+        part = out[self.window.rows, self.window.columns]
+        part[...] = cv2.resize(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0), part.shape[::-1])
+        return out
 
-    def _to_photo(self, *maps: Tensor) -> Tensor:
-        """Maps of the crop on the photo's own pixels."""
-        height, width = self.coded.shape[2:]
-        return warp_from_crop(torch.stack(maps)[None], self.matrix, (height, width))[0]
+    def _exposure(self, log_ratio: np.ndarray) -> float:
+        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was."""
+        luminance, skin = self._scene @ LUMA, self._skin.skin * self._cover > 0.6
+        if skin.sum() < 50:
+            return 0.0
+        relit = luminance * np.exp(log_ratio.mean(-1))
+        gap = np.log(max(float(np.quantile(luminance[skin], EXPOSED)), 1e-4)) - np.log(
+            max(float(np.quantile(relit[skin], EXPOSED)), 1e-4)
+        )
+        return float(np.clip(gap, DARKER, BRIGHTER))
+
+    @cached_property
+    def _features(self) -> Features:
+        return facial_features(self.face.points, self.window)
+
+    @cached_property
+    def _cover(self) -> np.ndarray:
+        """The matte, ``(h, w)`` of the window's copy; the face itself is covered."""
+        oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+        if not self._exhaustive and float(oval.max()) < FULL_FACE:
+            self._log.skip("matte", "the face fills the picture")
+            return np.ones(self.window.size, np.float32)
+        with self._log.measure("matte", "the picture shows more than the face"):
+            matte = person_matte(np.round(self._copy * 255).astype(np.uint8), self.window)
+            face = np.clip((1 - oval) / 0.3, 0, 1)
+            return np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)).astype(np.float32)
+
+    @cached_property
+    def _skin(self) -> SkinColour:
+        with self._log.measure("skin", "highlights and shade have their own colour"):
+            face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
+            return skin_colour(self._scene, face, self._features.eyes_and_lips, self._cover, self.window)
+
+    @cached_property
+    def _ratio(self) -> LightRatio:
+        """Built at the first render: a gallery asks for aligned faces alone."""
+        cover, points = self._cover, self.face.points
+        with self._log.measure("bust", "neck, hair and clothes follow the light"):
+            placed = None
+            if points is not None:
+                to_bust = compose(crop_to_bust(self.frame), self._to_crop)
+                unit = np.sqrt(abs(np.linalg.det(to_bust[:, :2])))
+                placed = np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
+            in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
+            down = _down(compose(crop_to_bust(self.frame), self._to_crop))
+            bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(placed, down), down)
+        with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
+            trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
+            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
+            return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
+
+    def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> tuple[Window, Tensor]:
+        """The window around a face, and the model's crop of it: scene radiance ``(3, h, w)``."""
+        matrix = fit_similarity(_check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
+        window = working_window(pixels.shape, matrix, self.frame)
+        if pixels is self._pixels:
+            self._to_crop = matrix
+        crop = window.onto_crop(to_scene(small_copy(pixels, window)))
+        return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
 
 
-def _luminance(crop: Tensor) -> Tensor:
-    """Of a linear crop ``(1, 3, h, w)``, ``(h, w)``."""
-    return (crop * torch.tensor(LUMA)[:, None, None]).sum(1)[0]
+def _locate(pixels: np.ndarray, landmarks: Landmarks | None, face: Face | None) -> Face:
+    """The face that is meant: the one given, the one at ``landmarks``, or the best one found."""
+    if face is not None:
+        return face
+    if landmarks is not None:
+        points = np.asarray(landmarks, dtype=np.float64)
+        _check_landmarks(points, pixels.shape)
+        return face_at(as_bytes(pixels), points)
+    faces = find_faces(as_bytes(pixels))
+    if not faces:
+        raise LandmarksNotFoundError(
+            "landmarks: found no face; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels"
+        )
+    return faces[0]
 
 
-def _soft_clip(radiance: Tensor, knee: float = 0.8) -> Tensor:
-    """Roll highlights off smoothly towards 1 instead of clipping them to flat white."""
-    over = (radiance - knee).clamp_min(0) / (1 - knee)
-    return torch.where(radiance > knee, knee + (1 - knee) * over / (1 + over), radiance)
-
-
-def _as_float(photo: np.ndarray) -> np.ndarray:
-    if photo.ndim != 3 or photo.shape[2] != 3 or min(photo.shape[:2]) < 8:
-        raise ValueError(f"photo: expected (H, W, 3) of at least 8 x 8 pixels, got {photo.shape}")
-    if photo.dtype == np.uint8:
-        return photo.astype(np.float32) / 255
-    if not np.issubdtype(photo.dtype, np.floating) or not np.isfinite(photo).all() or photo.min() < 0 or photo.max() > 1:
-        raise ValueError(f"photo: expected uint8 or float in 0..1, got {photo.dtype} with values up to {photo.max():g}")
-    return photo.astype(np.float32)
-
-
-def _check_landmarks(landmarks: Tensor | np.ndarray | list[tuple[float, float]], shape: tuple[int, ...]) -> Tensor:
+def _check_landmarks(landmarks: np.ndarray, shape: tuple[int, ...]) -> Tensor:
     points = torch.as_tensor(np.asarray(landmarks, dtype=np.float64))
     if points.shape != (3, 2):
         raise ValueError(f"landmarks: expected three (x, y) pairs, got shape {tuple(points.shape)}")
+    if not torch.isfinite(points).all():
+        raise ValueError("landmarks: expected finite pixel coordinates, got NaN or infinity")
     height, width = shape[:2]
     inside = (points >= -0.5).all() and (points[:, 0] <= width - 0.5).all() and (points[:, 1] <= height - 0.5).all()
     if not inside:
         raise ValueError(f"landmarks: expected pixels inside the {width} x {height} photo, got {points.tolist()}")
-    if points[0, 0] == points[1, 0] and points[0, 1] == points[1, 1]:
+    across, down = points[1] - points[0], points[2] - points[:2].mean(0)
+    distance = float(torch.linalg.vector_norm(across))
+    if distance == 0:
         raise ValueError("landmarks: expected two different eyes, got the same point twice")
+    # in the face's own frame: how far the mouth lies below the eyes, in eye distances, and how far aside
+    below = float(across[0] * down[1] - across[1] * down[0]) / distance**2
+    aside = float(across @ down) / distance**2
+    if abs(below) > 1e-2 and (below < 0.3 or below > 4 or abs(aside) > 1.5):
+        hint = "are the eyes swapped?" if below < 0 else "is the mouth in its place?"
+        raise ValueError(
+            f"landmarks: expected eye at image-left, eye at image-right, and the mouth below them, got {points.tolist()}; {hint}"
+        )
     return points
+
+
+def _check_share(name: str, value: float) -> None:
+    if not 0 <= value <= 1:
+        raise ValueError(f"{name}: expected a share from 0 to 1, got {value}")
+
+
+def _down(to_bust: np.ndarray) -> tuple[float, float]:
+    """Which way a body hangs in bust coordinates: the picture's own down, as far as a neck bends; beyond that the camera was turned."""
+    x, y = to_bust[:, :2] @ (0.0, 1.0)
+    tilt = float(np.clip(np.arctan2(x, -y), -NECK_BENDS, NECK_BENDS))
+    return float(np.sin(tilt)), float(-np.cos(tilt))

@@ -1,0 +1,288 @@
+"""The shape of a bust, as far as light needs it: a mean bust turned and warped to the face, a neck, shoulders, and hair inflated from the matte.
+
+Nothing of a person's shape outside the face is known from one photograph, but much can be guessed well enough for shading: where the matte
+ends the surface turns away, the mean bust knows ears and jaw, necks are round. Normals between what is known are interpolated harmonically
+(Johnston, "Lumo", 2002); heights, which cast the shadows, are the highest of head, neck, torso and inflated hair.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from facerelight.photo.frame import BUST, FINE, Grid, between
+
+__all__ = ["Bust", "MeanBust", "fit_bust", "make_bust", "mean_bust"]
+
+BELOW = -6.0  # height of what is not the person
+WARP_REACH = 0.35  # units over which the face's own proportions move the mean bust
+WARP_DOUBT = 0.5  # of a point's weight: far from all points the head stays where its pose puts it
+THROAT = np.array((0.0, -1.6, -0.9))  # about which a head turns on its body
+NECK = (-1.5, -2.8)  # between these heights the head goes over into the body
+BODY_FROM, BODY_EDGE = (
+    -1.75,
+    0.25,
+)  # below the first height, and so far inside the outline, the mean body's normals are taken
+OVAL = 0.92  # of the face's outline: inside it the mean head's normals are taken
+BODY_BLUR, FACE_BLUR = 0.12, 0.05  # of normals, in units: clothes and hair follow a body only roughly
+FEATURE_BLUR = 0.06  # of normals at eyes and lips, in units: they open and close
+FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
+"""Places on the mean bust, and how far eyes and lips reach across and up, in units."""
+
+
+class MeanBust(NamedTuple):
+    """``vertices (V, 3)``, ``triangles (T, 3)``; ``points (468, 3)`` of the face mesh on its surface; ``network (468, 3)``, the same as the
+    network sees them from the front. Bust coordinates with z towards the viewer."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    points: np.ndarray
+    network: np.ndarray
+
+
+class Bust(NamedTuple):
+    """Surface of a person on :data:`BUST`: ``normal (H, W, 3)`` unit, ``height (H, W)``, ``inside (H, W)`` 0 to 1, ``head (H, W)`` 0 to 1 where
+    the mean bust is trusted; ``fine (h, w)``: heights of face and neck on :data:`FINE`."""
+
+    normal: np.ndarray
+    height: np.ndarray
+    inside: np.ndarray
+    head: np.ndarray
+    fine: np.ndarray
+    fine_normal: np.ndarray
+
+
+@lru_cache(maxsize=1)
+def mean_bust() -> MeanBust:
+    """The mean of rendered heads (CC0), packed by ``scripts/data/pack_mean_bust.py``; read once a process."""
+    with (
+        files("facerelight.photo").joinpath("data/mean_bust.npz").open("rb") as file,
+        np.load(file, allow_pickle=False) as data,
+    ):
+        vertices, points, network = (data[name].astype(np.float64) for name in ("vertices", "points", "network"))
+        return MeanBust(vertices, data["triangles"].astype(np.int64), points, network)
+
+
+def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0)) -> np.ndarray:
+    """Vertices ``(V, 3)`` of the mean bust, its head turned and warped to a face's dense ``points``, its body upright.
+
+    The pose is the rotation that takes the network's points of the mean head to those of the face (orthogonal Procrustes); scale and place
+    are least squares in the picture; what is left moves the surface nearby, each point with a Gaussian weight.
+
+    Args:
+        points: ``(468, 3)`` in bust coordinates; None: the head looks straight ahead.
+        down: which way the body hangs, a unit vector of the bust's x and y.
+    """
+    bust = mean_bust()
+    upright = np.array(((-down[1], down[0], 0), (-down[0], -down[1], 0), (0, 0, 1.0)))
+    if points is None:
+        return bust.vertices
+    rotation = _rotation(bust.network, points)
+    turned = bust.points @ rotation.T
+    a, b = turned[:, :2] - turned[:, :2].mean(0), points[:, :2] - points[:, :2].mean(0)
+    scale = float((a * b).sum() / np.square(a).sum())
+    shift = np.append(points[:, :2].mean(0) - scale * turned[:, :2].mean(0), 0.0)
+    head = scale * bust.vertices @ rotation.T + shift
+    throat = scale * rotation @ THROAT + shift
+    body = scale * (bust.vertices - THROAT) @ upright.T + throat
+    of_body = np.clip((NECK[0] - bust.vertices[:, 1:2]) / (NECK[0] - NECK[1]), 0, 1)
+    vertices = (1 - of_body) * head + of_body * body
+    marked = scale * turned + shift
+    squared = np.square(vertices[:, None] - marked[None]).sum(-1)  # (V, 468)
+    weight = np.exp(-squared / (2 * WARP_REACH**2))
+    vertices[:, :2] += weight @ (points - marked)[:, :2] / (weight.sum(1, keepdims=True) + WARP_DOUBT)
+    return vertices
+
+
+def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The rotation ``(3, 3)`` that takes ``source (N, 3)`` nearest to ``target (N, 3)``, up to scale and shift (Kabsch 1976)."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, _, vt = np.linalg.svd(b.T @ a)
+    return u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ vt)))) @ vt
+
+
+def make_bust(
+    matte: np.ndarray, in_picture: np.ndarray, vertices: np.ndarray, down: tuple[float, float] = (0.0, -1.0)
+) -> Bust:
+    """The surface of a person.
+
+    Args:
+        matte: ``(H, W)`` on :data:`BUST`, 0 to 1.
+        in_picture: ``(H, W)`` bool, where the photograph has pixels.
+        vertices: ``(V, 3)`` of :func:`fit_bust`.
+        down: the direction in which the neck leaves the head, a unit vector of the bust's x and y.
+    """
+    x, y = BUST.places()
+    low = -1.0 - (
+        x * down[0] + (y + 1.0) * down[1]
+    )  # along the neck, which leaves the head a unit below the eyes; upright: y
+    z, normal, seen = _rasterise(vertices, BUST)
+    person = matte > 0.5
+    oval = np.hypot(x, (y + 0.42) / 1.42)
+    rim, outward = _silhouette(matte, person, in_picture)
+    from_edge = cv2.distanceTransform(person.astype(np.uint8), cv2.DIST_L2, 5) / BUST.density
+    face = seen & (oval < OVAL) & (normal[..., 2] > 0.2)
+    body = seen & person & (low < BODY_FROM) & (from_edge > BODY_EDGE) & (normal[..., 2] > 0.2) & ~face
+    known = np.zeros_like(normal)
+    known[rim] = outward[rim]
+    known[face | body] = normal[face | body]
+    field = harmonic(known, rim | face | body, person | face)
+    field[..., 2] = np.maximum(field[..., 2], 0.02)
+    field = _unit(field).astype(np.float32)
+    sharp, smooth = (
+        cv2.GaussianBlur(field, (0, 0), sigma) for sigma in (FACE_BLUR * BUST.density, BODY_BLUR * BUST.density)
+    )
+    share = cv2.GaussianBlur(face.astype(np.float32), (0, 0), 2.0)[..., None]
+    smooth = _unit(share * sharp + (1 - share) * smooth)
+    hair = np.where(y > -1.2, -1.2 + np.sqrt(np.clip(1.2**2 - (1.2 - np.minimum(from_edge, 1.2)) ** 2, 0, None)), BELOW)
+    torso = np.where(low < -2.6, -1.6 + np.sqrt(np.minimum(from_edge, 0.8)), BELOW)
+    highest = np.maximum(np.where(seen, z, np.maximum(torso, BELOW)), hair)
+    height = np.where(person | face, highest, BELOW).astype(np.float32)
+    return Bust(
+        smooth,
+        height,
+        person.astype(np.float32),
+        face.astype(np.float32),
+        *_fine_surface(vertices, height, person, smooth, face),
+    )
+
+
+def _fine_surface(
+    vertices: np.ndarray, height: np.ndarray, person: np.ndarray, normal: np.ndarray, face: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heights and normals on :data:`FINE`: the mesh's own where it is the highest, those of the bust elsewhere."""
+    z, own, seen = _rasterise(vertices, FINE)
+    inside = between(person.astype(np.float32), BUST, FINE) > 0.5
+    coarse = between(np.maximum(height, -3), BUST, FINE)
+    pit = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
+    surface = cv2.morphologyEx(
+        np.where(seen & inside, z, coarse).astype(np.float32), cv2.MORPH_CLOSE, pit
+    )  # no pits at eyes and mouth
+    heights = np.where(inside, cv2.GaussianBlur(np.maximum(surface, coarse), (0, 0), 0.4), BELOW).astype(np.float32)
+    share = (
+        between(cv2.GaussianBlur(cv2.erode(face.astype(np.float32), np.ones((5, 5))), (0, 0), 2.0), BUST, FINE)[
+            ..., None
+        ]
+        * seen[..., None]
+    )
+    own, features = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 0.6), _features(vertices)[..., None]
+    own = features * cv2.GaussianBlur(own, (0, 0), FEATURE_BLUR * FINE.density) + (1 - features) * own
+    return heights, _unit(share * own + (1 - share) * between(normal, BUST, FINE)).astype(np.float32)
+
+
+def _features(vertices: np.ndarray) -> np.ndarray:
+    """Where the mesh has eyes and lips, 0 to 1 on :data:`FINE`: they open and close, and a person's are not the mean's."""
+    x, y = FINE.places()
+    mask = np.zeros(FINE.size, np.float32)
+    for place, (across, up) in FEATURES:
+        near = np.square(mean_bust().vertices - place).sum(1).argsort()[:40]
+        middle = vertices[near, :2].mean(0)
+        mask = np.maximum(mask, np.clip(3 - 2.5 * np.hypot((x - middle[0]) / across, (y - middle[1]) / up), 0, 1))
+    return mask
+
+
+def _silhouette(matte: np.ndarray, person: np.ndarray, in_picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the person ends inside the photograph, ``(H, W)`` bool, and the normals there, which turn away ``(H, W, 3)``."""
+    smooth = cv2.GaussianBlur(matte.astype(np.float32), (0, 0), 2.0)
+    dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
+    slope = np.hypot(dx, dy)
+    inner = cv2.erode(in_picture.astype(np.uint8), np.ones((7, 7))) > 0
+    rim = person & ~(cv2.erode(person.astype(np.uint8), np.ones((3, 3))) > 0) & inner & (slope > 1e-4)
+    return rim, _unit(np.stack((-dx, dy, 0.35 * slope), -1))
+
+
+def _rasterise(vertices: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Height ``(H, W)``, unit normal ``(H, W, 3)`` and cover ``(H, W)`` bool of the mean bust's mesh with other ``vertices``, seen from +z.
+
+    Every triangle is sampled evenly, and each pixel keeps its highest samples: exact enough for triangles of a few pixels.
+    """
+    triangles = mean_bust().triangles
+    normals = _vertex_normals(vertices, triangles)
+    height, width = grid.size
+    matrix = grid.matrix()
+    corner = np.round(vertices[:, :2] @ matrix[:, :2].T + matrix[:, 2]).astype(int)[triangles]  # (T, 3, 2)
+    turn = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    facing = turn[0][:, 0] * turn[1][:, 1] - turn[0][:, 1] * turn[1][:, 0] <= 0  # rows run downwards
+    inside = ((corner.max(1) >= 0) & (corner.min(1) < (width, height))).all(1) & facing
+    triangles = triangles[inside]
+    extent = (corner.max(1) - corner.min(1)).max(1)[inside]
+    places, normal_samples = [], []
+    for low, high in ((0, 2), (2, 4), (4, 7), (7, 12), (12, 20), (20, 60)):  # pixels; larger triangles are sampled more densely
+        some = triangles[(extent >= low) & (extent < high)]
+        share = _even_shares(high)
+        places.append(np.einsum("bk,tkc->tbc", share, vertices[some]).reshape(-1, 3))
+        normal_samples.append(np.einsum("bk,tkc->tbc", share, normals[some]).reshape(-1, 3))
+    place, normal = np.concatenate(places), np.concatenate(normal_samples)
+    pixel = np.round(place[:, :2] @ matrix[:, :2].T + matrix[:, 2]).astype(int)
+    kept = ((pixel >= 0) & (pixel < (width, height))).all(1)
+    index, z = pixel[kept, 1] * width + pixel[kept, 0], place[kept, 2]
+    highest = np.full(height * width, -np.inf)
+    np.maximum.at(highest, index, z)
+    top = z > highest[index] - 0.03
+    samples = normal[kept][top]
+    index, z = index[top], z[top]
+    count = np.bincount(index, minlength=height * width)
+    total = (
+        np.stack([np.bincount(index, column, height * width) for column in (*samples.T, z)], -1)
+        / np.maximum(count, 1)[:, None]
+    )
+    cover = (count > 0).reshape(height, width)
+    return total[:, 3].reshape(height, width), _unit(total[:, :3].reshape(height, width, 3)), cover
+
+
+def _even_shares(n: int) -> np.ndarray:
+    """Barycentric coordinates of ``n * n`` evenly spread samples of a triangle, ``(n * n, 3)``."""
+    first = [(i + 1 / 3, j + 1 / 3) for i in range(n) for j in range(n - i)]
+    second = [(i + 2 / 3, j + 2 / 3) for i in range(n - 1) for j in range(n - 1 - i)]
+    share = np.array(first + second) / n
+    return np.column_stack((share, 1 - share.sum(1)))
+
+
+def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Smooth normals ``(V, 3)``: the sum of the faces around each vertex, weighted by area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    return _unit(
+        np.stack([sum(np.bincount(triangles[:, k], face[:, d], len(vertices)) for k in range(3)) for d in range(3)], -1)
+    )
+
+
+def harmonic(value: np.ndarray, known: np.ndarray, inside: np.ndarray, rounds: int = 60) -> np.ndarray:
+    """Harmonic interpolation of ``value (H, W, C)`` from the ``known`` pixels over ``inside``, no flow across its outline; coarse to fine."""
+    levels: list[tuple[np.ndarray, ...]] = [
+        (value * known[..., None], known.astype(np.float32), inside.astype(np.float32))
+    ]
+    while min(levels[-1][1].shape) > 12:
+        half = levels[-1][1].shape[1] // 2, levels[-1][1].shape[0] // 2
+        levels.append(
+            tuple(cv2.resize(part.astype(np.float32), half, interpolation=cv2.INTER_AREA) for part in levels[-1])
+        )
+    cross = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
+    field: np.ndarray | None = None
+    for v, k, i in reversed(levels):
+        free = (i > 0.3) & (k <= 0.25)
+        average = v / np.maximum(k, 1e-6)[..., None]
+        if field is None:
+            field = np.broadcast_to(v.sum((0, 1)) / max(float(k.sum()), 1e-6), v.shape).astype(np.float32)
+        else:
+            field = cv2.resize(field, v.shape[1::-1], interpolation=cv2.INTER_LINEAR).reshape(v.shape)
+        field = np.where((k > 0.25)[..., None], average, field).astype(np.float32)
+        weight = (i > 0.3).astype(np.float32)
+        around = np.maximum(cv2.filter2D(weight, -1, cross, borderType=cv2.BORDER_CONSTANT), 1e-6)[..., None]
+        for _ in range(rounds):
+            mean = (
+                cv2.filter2D(field * weight[..., None], -1, cross, borderType=cv2.BORDER_CONSTANT).reshape(v.shape)
+                / around
+            )
+            field = np.where(free[..., None], mean, field)
+    if field is None:
+        raise ValueError("harmonic: expected a map of at least one pixel")
+    return field
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)

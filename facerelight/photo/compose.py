@@ -1,0 +1,75 @@
+"""The photograph's own pixels under a new light: maps made on a small copy of the window, put on at full resolution, strip by strip.
+
+Nothing outside the person's cover is touched, and no more memory is taken than a strip of the window needs.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from facerelight.photo.colour import SkinColour, relit_radiance, to_display, to_scene
+from facerelight.photo.frame import Window
+from facerelight.photo.pixels import scale_of
+
+__all__ = ["Changes", "change_pixels"]
+
+STRIP = 1 << 18  # pixels worked on at once
+
+
+class Changes(NamedTuple):
+    """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's ``cover (h, w)`` in 0..1, and
+    ``strength``, from 0 (nothing) to 1 (all of it)."""
+
+    log_ratio: np.ndarray
+    skin: SkinColour
+    cover: np.ndarray
+    strength: float
+
+
+def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.ndarray:
+    """``pixels (H, W, 3)`` with the window changed; where the cover is 0 they keep their values.
+
+    The mixture of photo and relit picture is one of radiance, and a pixel whose radiance does not change keeps its own code.
+    """
+    out = pixels.copy()
+    height, width = out[window.rows, window.columns].shape[:2]
+    rows = max(1, STRIP // width)
+    if changes.strength == 0:
+        return out
+    for top in range(0, height, rows):
+        strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
+        cover = _part(changes.cover, top, min(rows, height - top), (height, width))[..., None] * changes.strength
+        if not cover.any():
+            continue
+        source = pixels[strip]
+        maps = (
+            _part(m, top, len(source), (height, width))
+            for m in (changes.log_ratio, changes.skin.skin, changes.skin.diffuse)
+        )
+        out[strip] = _changed(source, cover, *maps)
+    return out
+
+
+def _changed(
+    source: np.ndarray, cover: np.ndarray, log_ratio: np.ndarray, skin: np.ndarray, diffuse: np.ndarray
+) -> np.ndarray:
+    white = scale_of(source)
+    coded = source.astype(np.float32) / np.float32(white)
+    scene = to_scene(coded)
+    relit = relit_radiance(scene, log_ratio.reshape(*skin.shape, -1), skin, diffuse)
+    shown = to_display(np.maximum(scene + cover * (relit - scene), 0)) * np.float32(white)
+    if source.dtype.kind == "f":
+        return np.where(cover > 0, shown.clip(0, 1), source)
+    return np.where(cover > 0, np.floor(shown + 0.5).clip(0, white).astype(source.dtype), source)
+
+
+def _part(image: np.ndarray, top: int, rows: int, size: tuple[int, int]) -> np.ndarray:
+    """Rows ``top`` to ``top + rows`` of ``image`` enlarged to ``size`` (H, W), without making the rest."""
+    sy, sx = image.shape[0] / size[0], image.shape[1] / size[1]
+    matrix = np.array([[sx, 0, 0.5 * sx - 0.5], [0, sy, (top + 0.5) * sy - 0.5]])
+    return cv2.warpAffine(
+        image, matrix, (size[1], rows), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )

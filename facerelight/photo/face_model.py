@@ -1,0 +1,182 @@
+"""What the statistical model knows of the face in a photograph: its own light, and its radiance under any other.
+
+Few photographs are lit by one lamp. The photograph's light is fitted as a mixture of lights on the average face, and the quotient of the
+average face under the mixture and under one light, its middle, takes the crop from one to the other; on that the model is conditioned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from facerelight.alignment import CropFrame
+from facerelight.covariance import prior_mean
+from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
+from facerelight.mle import MaximumLikelihood
+from facerelight.photo.face_mask import face_mask
+from facerelight.relighter import METHODS, Method, StatisticalRelighter
+from facerelight.sources import LUMINANCE, LightMixture
+
+__all__ = ["FaceModel", "SourceLight", "crop_frame"]
+
+DARK = 0.05  # radiance below which a quotient of average faces would only amplify noise
+LARGEST_QUOTIENT = 4.0
+LIGHT_DRAWS = 16
+FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
+MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
+CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
+
+Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
+
+
+class SourceLight(NamedTuple):
+    """A crop's own light: ``direction (3,)``, its middle, zero for a black crop; ``amounts (J,)`` of the bootstrap lights; ``equivalent
+    (h, w)``, what the crop would look like under the one direction at unit strength."""
+
+    direction: Tensor
+    amounts: Tensor
+    equivalent: Tensor
+
+
+def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
+    """The crop that a relighter's statistics are of."""
+    height, width = relighter.statistics.size
+    margin = float(relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
+    return CropFrame(height, width, margin)
+
+
+class FaceModel:
+    """One face, conditioned once.
+
+    Args:
+        relighter: the model.
+        crops: ``(3, h, w)`` scene radiance of the photograph's face, and of further photographs of the same person.
+        source_light: ``(3,)`` where the first photograph's light is known; None estimates it.
+        method: "expected", "map" or "mle", see :class:`facerelight.relighter.StatisticalRelighter`.
+
+    Raises:
+        ValueError: an unknown method, or too few photographs for it.
+    """
+
+    def __init__(
+        self,
+        relighter: StatisticalRelighter,
+        crops: list[Tensor],
+        source_light: Tensor | None = None,
+        method: Method = "expected",
+    ) -> None:
+        if method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        self.relighter, self.frame = relighter, crop_frame(relighter)
+        self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)
+        own = self._source(self.luminance, self.mask, source_light)
+        sources, mask = [own], self.mask
+        for crop in crops[1:]:
+            other = face_mask(crop, self.frame)
+            sources.append(self._source(_luminance(crop), other, None))
+            mask = torch.minimum(mask, other)
+        images, lights = torch.stack([s.equivalent for s in sources]), torch.stack([s.direction for s in sources])
+        self._mean, self._variance = self._conditioned(images, lights, mask, method)
+        self.source_light = own.direction
+        # The new lamp is as strong as keeps the face's brightness when it stands at the camera.
+        at_camera = float((self._mean(CAMERA)[0, 0].clamp_min(0) * self.mask).sum())
+        self.exposure = float((self.luminance * self.mask).sum()) / max(at_camera, 1e-6) or 1.0
+        self.light = self._mixture(own.amounts)
+
+    def _mixture(self, amounts: Tensor) -> LightMixture:
+        """The photograph's own light in units of a lamp that keeps its brightness."""
+        kept = amounts > FAINT * amounts.sum()
+        if not kept.any():
+            return LightMixture(
+                CAMERA.clone(), torch.zeros(1, 3), torch.full((1,), MIXTURE_SIZE), torch.zeros(1, dtype=torch.long)
+            )
+        count = int(kept.sum())
+        weights = (amounts[kept] / self.exposure)[:, None].expand(-1, 3).contiguous()
+        directions = self.relighter.statistics.lights[kept]
+        return LightMixture(
+            directions, weights, torch.full((count,), MIXTURE_SIZE), torch.zeros(count, dtype=torch.long)
+        )
+
+    def _conditioned(self, images: Tensor, lights: Tensor, mask: Tensor, method: Method) -> tuple[Renderer, Renderer]:
+        """What renders the person of ``images (K, h, w)``, and its variance, under any light."""
+        if method == "mle":
+            fixed = MaximumLikelihood(self.relighter.statistics, images, lights)
+            return (lambda target: fixed.relight(target).mean[None]), (
+                lambda target: fixed.relight(target).variance[None]
+            )
+        if method == "expected":
+            posterior = self.relighter.condition(images[None], lights, mask=mask[None])
+            return posterior.mean, posterior.variance
+        estimator = self.relighter.estimator
+        spread = estimator.error_factor if isinstance(estimator, KernelIlluminationEstimator) else 0.1 * torch.eye(3)
+        noise = quasi_normal(LIGHT_DRAWS, 3 * len(lights)).view(LIGHT_DRAWS, -1, 3)
+        seen = lights.square().sum(-1, keepdim=True) > 0
+        drawn = torch.nn.functional.normalize(lights + noise @ spread.T, dim=-1) * seen
+        posterior = self.relighter.condition(images[None], drawn[None], mask=mask[None])
+        return posterior.mode, posterior.variance
+
+    def _source(self, luminance: Tensor, mask: Tensor, known: Tensor | None) -> SourceLight:
+        """The light of one crop; with a ``known`` direction that alone, as strong as the fit says."""
+        statistics = self.relighter.statistics
+        average = prior_mean(statistics, statistics.lights).unflatten(1, statistics.size)
+        amounts = fit_soft_light(average, luminance, mask)
+        strength = float(amounts.sum())
+        if strength < 1e-4:
+            return SourceLight(torch.zeros(3), torch.zeros_like(amounts), luminance)
+        share = amounts / strength
+        if known is not None:
+            nearest = torch.zeros_like(amounts)
+            direction = torch.nn.functional.normalize(known.reshape(3).to(share), dim=0)
+            nearest[(statistics.lights @ direction).argmax()] = strength
+            return SourceLight(direction, nearest, luminance / strength)
+        direction = torch.nn.functional.normalize(share @ statistics.lights, dim=0)
+        mixture = torch.tensordot(share, average.clamp_min(0), 1)
+        single = prior_mean(statistics, direction[None]).view(statistics.size).clamp_min(0)
+        quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
+        return SourceLight(direction, amounts, luminance / strength * quotient)
+
+    def crops(self, lights: Tensor) -> Tensor:
+        """The aligned face under unit ``lights (Q, 3)``, scene radiance before exposure, ``(Q, h, w)``."""
+        return self._mean(lights)[0]
+
+    def radiance(self, directions: np.ndarray) -> np.ndarray:
+        """The same as arrays, exposed like the photograph and never negative: ``(P, 3)`` to ``(P, h, w)``."""
+        return (
+            self.crops(torch.from_numpy(np.ascontiguousarray(directions, np.float32))).clamp_min(0) * self.exposure
+        ).numpy()
+
+    def std(self, light: Tensor) -> np.ndarray:
+        """Standard deviation of :meth:`radiance` under one ``light (3,)``, ``(h, w)``."""
+        return (self._variance(light[None])[0, 0].sqrt() * self.exposure).numpy()
+
+    def trust(self, features: np.ndarray) -> np.ndarray:
+        """Where the photograph shows what the model means, ``(h, w)`` in 0 to 1: lit skin, not eyes and teeth, hair, glasses or beard.
+
+        Args:
+            features: ``(h, w)``, 1 on eyes and on the inside of the mouth.
+        """
+        luminance = self.luminance.numpy()
+        weights = self.light.weights[:, 0].numpy()
+        expected = np.tensordot(weights, self.radiance(self.light.directions.numpy()), 1)
+        level = float(
+            (luminance * self.mask.numpy()).sum() / max(float(self.mask.sum()), 1e-6)
+        )  # dark skin is not shade
+        lit = np.clip((luminance / max(level, 1e-4) - 0.07) / 0.2, 0, 1)
+        floor = 0.03 * max(level, 1e-4)
+        apart = np.abs(np.log((_blur(luminance, 2) + floor) / (_blur(expected, 2) + floor)))
+        agrees = np.clip((1 - apart) / 0.5, 0, 1)
+        return _blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
+
+
+def _luminance(crop: Tensor) -> Tensor:
+    """Of a crop ``(3, h, w)``, ``(h, w)``."""
+    return torch.tensordot(torch.tensor(LUMINANCE).to(crop), crop, 1)
+
+
+def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma)

@@ -1,0 +1,110 @@
+"""Which pixels of a photograph show the person: a small network's answer, sharpened along the photograph's own edges.
+
+The network (MediaPipe's selfie segmentation, run by OpenCV) sees the bust at 256 x 256, twice, once mirrored. A colour guided filter (He, Sun
+and Tang 2010) takes its answer to the edges. Where the network cannot be read, GrabCut answers, seeded by where head and shoulders should be.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from facerelight.photo.frame import Window
+from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
+
+__all__ = ["guided_filter", "person_matte"]
+
+NETWORK_SIZE = (256, 256)
+RADIUS = 0.10  # of the guided filter, in units
+EDGE = 1e-4  # variance of colour that counts as an edge
+
+
+def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
+    """Cover of the person in 0..1, ``(h, w)`` float32.
+
+    Args:
+        image: ``(h, w, 3)`` uint8 sRGB, the window's copy.
+        window: where the bust lies in it.
+    """
+    try:
+        cover = _network_cover(image)
+    except (cv2.error, RuntimeError):
+        cover = _grabcut_cover(image, window)
+    cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
+    fine = guided_filter(image.astype(np.float32) / 255, cover, max(2, int(RADIUS * window.unit)), EDGE)
+    return np.clip((fine - 0.12) / 0.76, 0, 1)
+
+
+@lru_cache(maxsize=1)
+def _network() -> cv2.dnn.Net:
+    return cv2.dnn.readNetFromTFLite(str(network_path(SELFIE_SEGMENTATION)))
+
+
+def _network_cover(image: np.ndarray) -> np.ndarray:
+    """The network's cover, the mean of the picture's and its mirror image's."""
+    network, covers = _network(), []
+    for mirrored in (False, True):
+        seen = np.ascontiguousarray(image[:, ::-1] if mirrored else image)
+        network.setInput(cv2.dnn.blobFromImage(seen, 1 / 255, NETWORK_SIZE))
+        cover = network.forward()[0, 0]
+        covers.append(cover[:, ::-1] if mirrored else cover)
+    return cv2.resize(np.mean(covers, 0), image.shape[1::-1], interpolation=cv2.INTER_CUBIC).clip(0, 1)
+
+
+def _grabcut_cover(image: np.ndarray, window: Window) -> np.ndarray:
+    """GrabCut's cover (Rother, Kolmogorov and Blake 2004), seeded by an upright head and shoulders."""
+    height, width = window.size
+    x, y = window.places()
+    seeds = np.full((height, width), cv2.GC_BGD, np.uint8)
+    seeds[(np.hypot(x / 2.2, (y + 0.1) / 2.6) < 1) | ((np.abs(x) < 4.2) & (y < -1.7 - 0.15 * np.abs(x)))] = (
+        cv2.GC_PR_BGD
+    )
+    near = (
+        (np.hypot(x / 1.35, y / 2.0) < 1)
+        | ((np.abs(x) < 1.0) & (y < 0))
+        | ((np.abs(x) < 3.0) & (y < -3.2 - 0.2 * np.abs(x)))
+    )
+    seeds[near] = cv2.GC_PR_FGD
+    sure = (
+        (np.hypot(x / 0.95, (y + 0.42) / 1.35) < 1)
+        | ((np.abs(x) < 0.6) & (y < -1) & (y > -2.6))
+        | ((np.abs(x) < 1.4) & (y < -4))
+    )
+    seeds[sure] = cv2.GC_FGD
+    scale = min(1.0, 360 / max(height, width))
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    seeds = cv2.resize(seeds, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    cv2.setRNGSeed(0)
+    cv2.grabCut(
+        np.ascontiguousarray(small[..., ::-1]),
+        seeds,
+        None,
+        np.zeros((1, 65)),
+        np.zeros((1, 65)),
+        5,
+        cv2.GC_INIT_WITH_MASK,
+    )
+    cover = ((seeds == cv2.GC_FGD) | (seeds == cv2.GC_PR_FGD)).astype(np.float32)
+    return cv2.resize(cv2.GaussianBlur(cover, (0, 0), 1), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def guided_filter(guide: np.ndarray, image: np.ndarray, radius: int, eps: float) -> np.ndarray:
+    """Colour guided filter (He, Sun and Tang 2010): ``image (H, W)`` as a locally linear function of ``guide (H, W, 3)`` in 0..1."""
+    size = (2 * radius + 1, 2 * radius + 1)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_REFLECT)
+
+    centre, level = mean(guide), mean(image)
+    pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+    second = {(i, j): mean(guide[..., i] * guide[..., j]) - centre[..., i] * centre[..., j] for i, j in pairs}
+    covariance = np.stack(
+        [np.stack([second[min(i, j), max(i, j)] for j in range(3)], -1) for i in range(3)], -2
+    )  # (H, W, 3, 3)
+    cross = mean(guide * image[..., None]) - centre * level[..., None]
+    covariance = covariance.astype(np.float64) + eps * np.eye(3)
+    slope = np.linalg.solve(covariance, cross[..., None].astype(np.float64))[..., 0].astype(np.float32)
+    offset = level - (slope * centre).sum(-1)
+    return (mean(slope) * guide).sum(-1) + mean(offset)

@@ -1,0 +1,176 @@
+"""The ratio of new light to old over a whole bust: the face's from the statistical model, the rest from the bust's shading, joined without a seam.
+
+All maps are of :data:`facerelight.photo.frame.FINE`. A light is a sum of points, and so is what it does: the model's posterior mean and the
+bust's irradiance are linear in it. The mean over people is a soft light itself: it knows how bright each part of a face becomes, but not where
+the edges of this face's shadows run. Those are the bust's, whose head has the face's own pose and proportions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from facerelight.alignment import CropFrame
+from facerelight.photo.frame import BUST, FINE, between, crop_onto
+from facerelight.photo.shading import BustShading
+from facerelight.sources import LightMixture
+
+__all__ = ["FaceEvidence", "LightRatio"]
+
+DARK = 0.02  # of the face's mean radiance: below it ratios level out
+LEAK = 0.15  # what the mean over people leaves of a lamp where most people are in shadow
+COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
+EDGES = 0.9  # of the face's fine shading is the bust's
+FAINT_FACE, FAINT = 0.01, 0.02  # of the brightest bust shading: below it ratios level out
+LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
+JOIN = 0.28  # units over which what the rim asks for fades
+DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
+BUST_DARKEST, BUST_BRIGHTEST = -3.5, 1.1
+SOFT = 20.0  # degrees: a source as large as this has no edges to sharpen
+SAME_LIGHT = 0.05  # a change of the face's log ratio that is none
+
+
+class FaceEvidence(NamedTuple):
+    """What is known of the face, on the model's crop ``(h, w)``.
+
+    ``luminance`` of the photograph; ``mask``, where the face is; ``trust``, where the photograph is skin that the model understands;
+    ``radiance``: directions ``(P, 3)`` to the model's posterior mean ``(P, h, w)`` at the photograph's exposure.
+    """
+
+    luminance: np.ndarray
+    mask: np.ndarray
+    trust: np.ndarray
+    radiance: Callable[[np.ndarray], np.ndarray]
+
+
+class LightRatio:
+    """Log ratios of any light over the photograph's own.
+
+    Args:
+        face: what is known of the face.
+        crop: the model's crop.
+        shading: the bust's.
+        source: the photograph's own light.
+    """
+
+    def __init__(self, face: FaceEvidence, crop: CropFrame, shading: BustShading, source: LightMixture) -> None:
+        self.face, self.crop, self.shading = face, crop, shading
+        weight = np.clip((1 - crop.oval().numpy()) / 0.3, 0, 1)
+        self.weight = crop_onto((weight * weight * (3 - 2 * weight)).astype(np.float32), crop, FINE)
+        self._norm = np.maximum(_blur(self.weight, COARSE * FINE.density), 1e-3)
+        rim = crop_onto(_blur(face.mask, 1.5), crop, FINE)
+        self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
+        self._near_rim = _blur(self.rim, JOIN * FINE.density)
+        self.trust = crop_onto(face.trust.astype(np.float32), crop, FINE)
+        self._sure = (self.trust + 0.08) * (self.weight > 0)
+        self._around = np.maximum(_blur(self._sure, 0.06 * FINE.density), 1e-4)
+        self._fully_lit = np.maximum(_blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
+        mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
+        self.dark = DARK * max(mean, 1e-3)
+        self.source_face = self._face_light(source)[..., 0]
+        self.source_bust = self._bust_light(source)[..., 0]
+        seen = crop_onto(_blur(face.luminance, 0.8), crop, FINE, 1.0)
+        self.unexplained = self.trust * np.clip(np.log((self.source_face + self.dark) / (seen + self.dark)), -1, 1)
+
+    def __call__(self, light: LightMixture) -> np.ndarray:
+        """``(H, W, C)`` log ratio; C is 1 for white light, else 3. Under the photograph's own light it is 0."""
+        face, bust = self._face_light(light), self._bust_light(light)
+        return np.stack([self._joined(face[..., c], bust[..., c]) for c in range(face.shape[-1])], -1)
+
+    def _joined(self, face: np.ndarray, bust: np.ndarray) -> np.ndarray:
+        """One channel's log ratio, ``(H, W)``, from the radiance of the face and the irradiance of the bust."""
+        inner = np.log((face + self.dark) / (self.source_face + self.dark))
+        inner = self._with_edges(inner, self._bust_ratio(bust, FAINT_FACE))
+        inner = (
+            inner + self._changed(inner) * self.unexplained
+        )  # what the photograph's own light left unexplained goes with it
+        around = _blur(inner * self._sure, 0.06 * FINE.density) / self._around
+        inner = self.trust * inner + (1 - self.trust) * around  # what is unsure follows what surrounds it
+        outer = self._bust_ratio(bust, FAINT)
+        level = float((self.rim * (inner - outer)).sum() / max(float(self.rim.sum()), 1e-6))
+        near = _blur(self.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(self._near_rim, 1e-4)
+        outer = (
+            outer
+            + np.clip(level, -LEVEL, LEVEL)
+            + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
+        )
+        outer = np.clip(_blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
+        return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
+
+    def _bust_ratio(self, bust: np.ndarray, faint: float) -> np.ndarray:
+        return np.log(
+            (bust + faint * max(float(bust.max()), 1e-6))
+            / (self.source_bust + faint * max(float(self.source_bust.max()), 1e-6))
+        )
+
+    def _with_edges(self, model: np.ndarray, bust: np.ndarray) -> np.ndarray:
+        """Coarse shading from the model, fine shading mostly from the bust."""
+        gap = model - bust
+        coarse = _blur(gap * self.weight, COARSE * FINE.density) / self._norm
+        return model + EDGES * (np.clip(bust + coarse, DARKEST, BRIGHTEST) - model)
+
+    def _changed(self, inner: np.ndarray) -> float:
+        """How surely the light is another, 0 to 1, from the spread of the log ratio over the face."""
+        weight = self.weight * self.trust + 1e-6
+        mean = float((weight * inner).sum() / weight.sum())
+        variance = float((weight * (inner - mean) ** 2).sum() / weight.sum())
+        return variance / (variance + SAME_LIGHT**2)
+
+    def _face_light(self, light: LightMixture) -> np.ndarray:
+        """The face's radiance under ``light``, ``(H, W, C)``; light from behind comes from its nearest side.
+
+        Each lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit face.
+        """
+        front = light.directions.numpy().copy()
+        front[:, 2] = np.maximum(front[:, 2], 0)
+        front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
+        radiance = self.face.radiance(front)  # (P, h, w)
+        share = radiance / self._fully_lit
+        edged = np.clip((SOFT - light.size.numpy()) / 10, 0, 1)[:, None, None]
+        radiance = radiance * (share * (1 + LEAK) / (share + LEAK)) ** edged
+        lit = np.einsum("pc,phw->chw", _channels(light), radiance).astype(np.float32)
+        return np.stack([crop_onto(channel, self.crop, FINE) for channel in lit], -1)
+
+    def _bust_light(self, light: LightMixture) -> np.ndarray:
+        """The white bust's irradiance under ``light``, ``(H, W, C)``."""
+        weights, total = _channels(light), np.zeros((*FINE.size, 1), np.float32)
+        for members in _lamps(light):
+            directions, share = light.directions[members].numpy(), weights[members]
+            size = float(light.size[members[0]])
+            if size < SOFT:
+                lit = np.tensordot(
+                    np.stack([self.shading.fine_lambert(d) for d in directions]), share, ((0,), (0,))
+                )  # (H, W, C)
+                total = total + lit * self.shading.fine_visibility(_middle(directions), size)[..., None]
+            else:
+                lit = np.tensordot(
+                    np.stack([self.shading.shade(d, size) for d in directions]), share, ((0,), (0,))
+                ).astype(np.float32)
+                total = total + np.stack(
+                    [between(np.ascontiguousarray(lit[..., c]), BUST, FINE) for c in range(lit.shape[-1])], -1
+                )
+        return total
+
+
+def _lamps(light: LightMixture) -> list[np.ndarray]:
+    """Indices of the points of each source; large ones, which have no edges, are taken together."""
+    number = np.where(light.size.numpy() >= SOFT, -1, light.source.numpy())
+    return [np.flatnonzero(number == one) for one in np.unique(number)]
+
+
+def _middle(directions: np.ndarray) -> np.ndarray:
+    mean = directions.mean(0)
+    return mean / max(float(np.linalg.norm(mean)), 1e-6)
+
+
+def _channels(light: LightMixture) -> np.ndarray:
+    """Weights ``(P, C)``: one channel where the light is white."""
+    weights = light.weights.numpy()
+    return weights[:, :1] if light.white else weights
+
+
+def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma)
