@@ -34,6 +34,7 @@ LEFT_EYE = (263, 249, 390, 373, 374, 380, 381, 382, 362, 398, 384, 385, 386, 387
 LIPS = (61, 146, 91, 181, 84, 17, 314, 405, 321, 375, 291, 409, 270, 269, 267, 0, 37, 39, 40, 185)
 INNER_LIPS = (78, 95, 88, 178, 87, 14, 317, 402, 318, 324, 308, 415, 310, 311, 312, 13, 82, 81, 80, 191)
 FEATURES = (RIGHT_EYE, LEFT_EYE, LIPS + INNER_LIPS)
+YAW_SHARE = 0.5  # of the yaw, in placing the landmarks
 STEPS = 6  # of Gauss-Newton; three change nothing more below 60 degrees
 UP = np.array((1.0, -1.0))  # pixels count downwards
 
@@ -44,6 +45,20 @@ class HeadPose(NamedTuple):
     yaw: float
     pitch: float
     roll: float
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """The rotation ``(3, 3)`` by yaw, then pitch, then roll; x to image-right, y up, z to the viewer.
+
+        Example:
+            >>> HeadPose(90.0, 0.0, 0.0).rotation.round()[:, 2].tolist()  # the nose points to image-left
+            [-1.0, 0.0, 0.0]
+        """
+        (cy, cp, cr), (sy, sp, sr) = (f(np.deg2rad(self)) for f in (np.cos, np.sin))
+        yaw = np.array(((cy, 0, -sy), (0, 1, 0), (sy, 0, cy)))
+        pitch = np.array(((1, 0, 0), (0, cp, sp), (0, -sp, cp)))
+        roll = np.array(((cr, sr, 0), (-sr, cr, 0), (0, 0, 1)))
+        return roll @ pitch @ yaw
 
 
 class CanonicalFace(NamedTuple):
@@ -119,13 +134,16 @@ def fit_rigid_face(points: np.ndarray) -> RigidFit:
 def model_landmarks(points: np.ndarray, fit: RigidFit) -> np.ndarray:
     """Eye at image-left, eye at image-right and mouth as the model's crops mean them, ``(3, 2)`` pixels.
 
-    The dense points lie on the lids, the model's eyes are the centres of the eyeballs, 0.2 eye distances behind. Their mean distances,
-    which are those in the canonical face, are turned with the head and added.
+    The dense points lie on the lids, the model's eyes are the centres of the eyeballs, 0.2 eye distances behind. Their
+    mean distances, those in the canonical face, are turned with the head and added. Shadows make the yaw uncertain, and
+    it would move the eyes but not the mouth: half of it counts.
     """
     canonical = canonical_face()
     found = np.stack([points[list(part), :2].mean(0) for part in FEATURES])
     offset = canonical.landmarks - np.stack([canonical.points[list(part)].mean(0) for part in FEATURES])
-    return found + fit.scale * (offset @ fit.rotation.T)[:, :2] * UP
+    pose = fit.pose
+    rotation = pose._replace(yaw=YAW_SHARE * pose.yaw).rotation
+    return found + fit.scale * (offset @ rotation.T)[:, :2] * UP
 
 
 def _turn(vector: np.ndarray) -> np.ndarray:
