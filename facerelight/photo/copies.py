@@ -22,7 +22,7 @@ def shrink(photo: np.ndarray, side: int) -> np.ndarray:
 
 
 def brighten(copy: np.ndarray) -> np.ndarray:
-    """The copy ``(H, W, 3)`` uint8 raised to a power that brings its mean exposure to an ordinary one; bright copies as they are.
+    """The copy ``(H, W, 3)`` uint8 raised to a power that brings its exposure to an ordinary one; bright ones as is.
 
     Example:
         >>> int(brighten(np.full((2, 2, 3), 10, np.uint8))[0, 0, 0])

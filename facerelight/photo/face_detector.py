@@ -1,4 +1,4 @@
-"""Where faces may be: the YuNet detector (Wu, Peng and Yu 2023) on padded, shrunken and turned copies of a photograph."""
+"""Where faces may be: the YuNet detector (Wu, Peng and Yu 2023) on padded, shrunken and turned copies of a photo."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ OVERLAP = 0.5  # of the smaller face's size, between the centres of two that are
 
 
 class Candidate(NamedTuple):
-    """``points (5, 2)`` photo pixels: eye at image-left of the upright face, the other eye, nose, two mouth corners; ``score`` in 0..1."""
+    """``points (5, 2)`` photo pixels: eye at image-left of the upright face, the other eye, nose, two mouth corners;
+    ``score`` in 0..1."""
 
     points: np.ndarray
     score: float
@@ -57,7 +58,7 @@ def detect_faces(photo: np.ndarray, side: int, turn: float = 0.0, least: float =
     size = tuple(int(n) for n in np.ceil(extent) + 2 * pad)
     middle = (np.array(small.shape[1::-1]) - 1) / 2
     shift = (np.array(size) - 1) / 2 - linear @ middle
-    canvas = cv2.warpAffine(small, np.column_stack((linear, shift)), size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    canvas = cv2.warpAffine(small, np.column_stack((linear, shift)), size, borderMode=cv2.BORDER_REPLICATE)
     network = _network()
     network.setInputSize(size)
     network.setScoreThreshold(least)
@@ -74,8 +75,8 @@ def merge_candidates(candidates: list[Candidate]) -> list[Candidate]:
     """One for each face, the best by score, best first."""
     kept: list[Candidate] = []
     for candidate in sorted(candidates, key=lambda one: -one.score):
-        centre = candidate.landmarks.mean(0)
-        if all(np.hypot(*(centre - other.landmarks.mean(0))) > OVERLAP * min(candidate.size, other.size) for other in kept):
+        apart = [np.hypot(*(candidate.landmarks - other.landmarks).mean(0)) for other in kept]
+        if all(far > OVERLAP * min(candidate.size, other.size) for far, other in zip(apart, kept, strict=True)):
             kept.append(candidate)
     return kept
 
@@ -86,4 +87,5 @@ def _network() -> cv2.FaceDetectorYN:
     try:
         return cv2.FaceDetectorYN.create(str(path), "", (320, 320), 0.5)
     except (cv2.error, AttributeError) as error:
-        raise RuntimeError(f"{path.name}: expected OpenCV 4.12 or newer to read it, got {cv2.__version__}; update opencv") from error
+        wanted = f"{path.name}: expected OpenCV 4.12 or newer to read it, got {cv2.__version__}"
+        raise RuntimeError(f"{wanted}; pip install --upgrade 'opencv-contrib-python-headless>=4.12,<5'") from error

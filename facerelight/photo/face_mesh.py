@@ -1,4 +1,4 @@
-"""468 points of a face in three dimensions: the Face Mesh network (Kartynnik et al. 2019), run by OpenCV on small crops."""
+"""468 points of a face in three dimensions: the Face Mesh network (Kartynnik et al. 2019), run on small crops."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ EYE_CORNERS = ((33, 133), (362, 263))  # at image-left, at image-right
 
 
 class FaceMesh(NamedTuple):
-    """``points (468, 3)`` float64, (x, y, z) in the photo's pixels, z away from the viewer; ``score``, the probability that a face is there."""
+    """``points (468, 3)`` float64, (x, y, z) in the photo's pixels, z away from the viewer; ``score``, the probability
+    that a face is there."""
 
     points: np.ndarray
     score: float
@@ -51,7 +52,7 @@ def fit_face_mesh(photo: np.ndarray, landmarks: np.ndarray, mirror: np.ndarray) 
 
 
 class _Square(NamedTuple):
-    """What a crop shows: its ``centre (2,)``, the direction ``across (2,)`` from eye to eye, not normalised, and its ``side``."""
+    """A crop: its ``centre (2,)``, the direction ``across (2,)`` from eye to eye, of any length, and ``side``."""
 
     centre: np.ndarray
     across: np.ndarray
@@ -101,7 +102,7 @@ def _look(photo: np.ndarray, square: _Square, mirror: np.ndarray | None = None) 
 
 
 def cut(photo: np.ndarray, linear: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """A square crop by ``crop = linear @ photo + shift``; border repeated; shrunk by area first, so that large faces do not alias."""
+    """A square crop by ``crop = linear @ photo + shift``, border repeated; large faces are averaged down first."""
     inverse = np.linalg.inv(linear)
     corners = (np.array(((0, 0), (SIZE, 0), (0, SIZE), (SIZE, SIZE)), np.float64) - 0.5 - shift) @ inverse.T
     height, width = photo.shape[:2]
@@ -133,4 +134,5 @@ def _network() -> cv2.dnn.Net:
     try:
         return cv2.dnn.readNetFromTFLite(str(path))
     except (cv2.error, AttributeError) as error:
-        raise RuntimeError(f"{path.name}: expected OpenCV 4.12 or newer to read it, got {cv2.__version__}; update opencv") from error
+        wanted = f"{path.name}: expected OpenCV 4.12 or newer to read it, got {cv2.__version__}"
+        raise RuntimeError(f"{wanted}; pip install --upgrade 'opencv-contrib-python-headless>=4.12,<5'") from error

@@ -1,4 +1,4 @@
-"""Three landmarks with what OpenCV ships, where a network cannot be read: Haar cascades (Viola and Jones 2001) of faces, eyes and smiles."""
+"""Landmarks with what OpenCV ships, where a network cannot be read: Haar cascades (Viola and Jones 2001)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def haar_landmarks(photo: np.ndarray) -> list[np.ndarray]:
 
 
 def _features(grey: np.ndarray, face: Sequence[int]) -> np.ndarray | None:
-    """Eyes and mouth inside a face box ``(x, y, side, side)``, or None where it has not two eyes where eyes should be."""
+    """Eyes and mouth inside a face box ``(x, y, side, side)``; None where it has no two eyes where they should be."""
     x, y, side, _ = (int(v) for v in face)
     size = (side // 8, side // 8), (side // 3, side // 3)
     top = grey[y : y + int(0.6 * side), x : x + side]
@@ -51,7 +51,8 @@ def _features(grey: np.ndarray, face: Sequence[int]) -> np.ndarray | None:
     x0, x1 = int(left[0] - 0.2 * side), int(right[0] + 0.2 * side)
     y0 = int((left[1] + right[1]) / 2 + 0.25 * side)
     low = grey[max(y0, 0) : y0 + int(0.6 * side), max(x0, 0) : x1]
-    mouths = _cascade("haarcascade_smile.xml").detectMultiScale(low, 1.05, 8, minSize=(side // 5, side // 10)) if low.size else ()
+    smiles, least = _cascade("haarcascade_smile.xml"), (side // 5, side // 10)
+    mouths = smiles.detectMultiScale(low, 1.05, 8, minSize=least) if low.size else ()
     centres = [np.array((max(x0, 0) + mx + mw / 2, max(y0, 0) + my_ + mh / 2)) for mx, my_, mw, mh in mouths]
     close = [c for c in centres if np.hypot(*(c - guess)) < 0.15 * side]
     mouth = guess if not close else (guess + 2 * np.median(close, axis=0)) / 3

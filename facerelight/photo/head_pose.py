@@ -1,4 +1,4 @@
-"""Where a head is turned, and where the model's landmarks lie, from the dense points: a rigid mean face seen by an orthographic camera."""
+"""How a head is turned, and where the model's landmarks lie: the dense points as views of a rigid mean face."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ UP = np.array((1.0, -1.0))  # pixels count downwards
 
 
 class HeadPose(NamedTuple):
-    """Degrees. ``yaw`` > 0: turned towards image-left; ``pitch`` > 0: looks up; ``roll`` > 0: tilted clockwise in the picture."""
+    """Degrees. ``yaw`` > 0: turned towards image-left; ``pitch`` > 0: looks up; ``roll`` > 0: tilted clockwise in the
+    picture. The head of zero pitch is MakeHuman's; people who face the camera have about 0 to 10."""
 
     yaw: float
     pitch: float
@@ -62,10 +63,11 @@ class HeadPose(NamedTuple):
 
 
 class CanonicalFace(NamedTuple):
-    """The mean of many rendered heads: x to image-right, y up, z to the viewer, the origin midway between the eyes, which are one unit apart.
+    """The mean of many rendered heads: x to image-right, y up, z to the viewer, the origin midway between the eyes,
+    which are one unit apart.
 
-    ``points (468, 3)`` of the mesh; ``landmarks (3, 3)``, what the model's crops call eyes and mouth (centres of the eyeballs and of the
-    lips); ``mirror (468,)``, the number of every point's mirror image.
+    ``points (468, 3)`` of the mesh; ``landmarks (3, 3)``, what the model's crops call eyes and mouth (centres of the
+    eyeballs and of the lips); ``mirror (468,)``, the number of every point's mirror image.
     """
 
     points: np.ndarray
@@ -74,7 +76,8 @@ class CanonicalFace(NamedTuple):
 
 
 class RigidFit(NamedTuple):
-    """``scale`` pixels an eye distance, ``rotation (3, 3)``, ``shift (2,)`` pixels, and ``error``, the rms residual in eye distances."""
+    """``scale`` pixels an eye distance, ``rotation (3, 3)``, ``shift (2,)`` pixels, and ``error``, the rms residual in
+    eye distances."""
 
     scale: float
     rotation: np.ndarray
@@ -102,11 +105,12 @@ def canonical_face() -> CanonicalFace:
         (468, 3)
     """
     with np.load(Path(networks.__file__).parent / "canonical_face.npz", allow_pickle=False) as data:
-        return CanonicalFace(data["points"].astype(np.float64), data["landmarks"].astype(np.float64), data["mirror"].astype(np.intp))
+        points, landmarks = data["points"].astype(np.float64), data["landmarks"].astype(np.float64)
+        return CanonicalFace(points, landmarks, data["mirror"].astype(np.intp))
 
 
 def fit_rigid_face(points: np.ndarray) -> RigidFit:
-    """The least-squares scaled orthographic view of the canonical face: its affine solution, then Gauss-Newton on the rotation.
+    """The least-squares scaled orthographic view of the canonical face: affine first, then Gauss-Newton.
 
     The network's depth is not used: its scale depends on the pose, and the mean face's does not.
 
@@ -124,7 +128,8 @@ def fit_rigid_face(points: np.ndarray) -> RigidFit:
         x, y, z = scale * rotation @ model.T
         zero = np.zeros_like(x)
         by_x, by_y = np.stack((zero, z, -y, x), 1), np.stack((-z, zero, x, y), 1)
-        step = np.linalg.lstsq(np.concatenate((by_x, by_y)), np.concatenate((seen[:, 0] - x, seen[:, 1] - y)), rcond=None)[0]
+        missing = np.concatenate((seen[:, 0] - x, seen[:, 1] - y))
+        step = np.linalg.lstsq(np.concatenate((by_x, by_y)), missing, rcond=None)[0]
         rotation, scale = _turn(step[:3]) @ rotation, scale * float(np.exp(np.clip(step[3], -1, 1)))
     residual = seen - scale * (model @ rotation.T)[:, :2]
     shift = (centre - scale * (rotation @ middle)[:2]) * UP

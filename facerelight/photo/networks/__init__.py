@@ -1,4 +1,4 @@
-"""The small networks that the package carries, with their checksums; where they come from and their licences: ``NOTICE.md`` beside them."""
+"""The small networks that the package carries, with their checksums; authors and licences: ``NOTICE.md`` beside it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ CHECKSUMS = {
     SELFIE_SEGMENTATION: "9ee168ec7c8f2a16c56fe8e1cfbc514974cbbb7e434051b455635f1bd1462f5c",
 }
 """SHA-256 of every network, by file name."""
+REMEDY = "install facerelight anew or run scripts/data/pack_networks.py"
 
 
 def network_path(name: str) -> Path:
@@ -40,11 +41,12 @@ def network_path(name: str) -> Path:
 
 @lru_cache(maxsize=8)
 def _verified(path: Path, checksum: str) -> Path:
-    remedy = "install facerelight anew (pip install --force-reinstall --no-deps facerelight) or run scripts/data/pack_networks.py"
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise RuntimeError(f"{path}: expected a network of the package, got {error.strerror or error}; {remedy}") from error
+        reason = error.strerror or error
+        raise RuntimeError(f"{path}: expected a network of the package, got {reason}; {REMEDY}") from error
     if found != checksum:
-        raise RuntimeError(f"{path}: expected SHA-256 {checksum[:12]}..., got {found[:12]}...: the file is damaged; {remedy}")
+        differs = f"expected SHA-256 {checksum[:12]}..., got {found[:12]}..."
+        raise RuntimeError(f"{path}: {differs}: the file is damaged; {REMEDY}")
     return path
