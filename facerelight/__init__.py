@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from facerelight.photo import PhotoRelighter, relight
     from facerelight.relighter import StatisticalRelighter
     from facerelight.sources import Lamp, LightMixture
-from facerelight.statistics import FaceStatistics
+    from facerelight.statistics import FaceStatistics
 
 __all__ = [
     "FaceStatistics",
@@ -28,6 +28,8 @@ __all__ = [
 _HOMES = {
     "FaceStatistics": "statistics",
     "KernelIlluminationEstimator": "illumination",
+    "Lamp": "sources",
+    "LightMixture": "sources",
     "PhotoRelighter": "photo",
     "StatisticalRelighter": "relighter",
     "angles_from_light": "lights",

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from facerelight.photo.face_model import crop_frame
-from facerelight.photo.session import PhotoRelighter, load_relighter, relight
+    from facerelight.photo.session import PhotoRelighter, load_relighter, relight
 
 __all__ = ["PhotoRelighter", "crop_frame", "load_relighter", "relight"]
 

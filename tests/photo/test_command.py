@@ -12,6 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
+import facerelight.photo
 import facerelight.photo.landmarks as landmarks_module
 import facerelight.photo.session as session_module
 from facerelight.cli import QUALITIES, main
@@ -369,3 +370,13 @@ def test_without_egl_one_line(tmp_path: Path) -> None:
     said = [line for line in done.stderr.splitlines() if not line.startswith("import time")]
     assert len(said) == 1
     assert "EGL" in said[0]
+
+
+def test_public_names_are_imported_when_asked_for() -> None:
+    for name in facerelight.__all__:
+        assert getattr(facerelight, name).__module__.startswith("facerelight.")
+    for name in facerelight.photo.__all__:
+        assert getattr(facerelight.photo, name).__module__.startswith("facerelight.")
+    assert set(facerelight.__all__) <= set(dir(facerelight))
+    with pytest.raises(AttributeError, match="no attribute"):
+        _ = facerelight.nothing
