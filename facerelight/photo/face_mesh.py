@@ -14,7 +14,7 @@ from facerelight.photo.networks import FACE_MESH, network_path
 __all__ = ["FaceMesh", "fit_face_mesh"]
 
 SIZE = 192  # the network's input
-ROUNDS = 10  # at most, until the crop stays in place
+ROUNDS = 16  # at most, until the crop stays in place
 NEAR_TURN, NEAR_SHIFT, NEAR_SCALE = 0.07, 0.03, 0.1  # radians, crop sides, logarithm: the crop stayed
 FIRST_SIDE = 2.4  # crop sides: of the larger of the eye distance times 1.5 and of eyes to mouth times 1.3 ...
 NEXT_SIDE = 1.5  # ... and of the box of all points, as the network was trained

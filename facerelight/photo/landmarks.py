@@ -43,7 +43,7 @@ class Limits(NamedTuple):
     apart: float
 
 
-PLAUSIBLE = Limits(0.45, 0.6, 0.16, 0.9)
+PLAUSIBLE = Limits(0.3, 0.6, 0.16, 0.9)
 # Upright faces have mesh scores above 0.9999, the same faces upside down less; what is no face has less than 0.05.
 CLEAR = Limits(0.6, 0.9999, 0.14, 0.9)
 
