@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from facerelight.photo.files import SUFFIXES, check_writable, find_photos, not_held, read_photo, write_photo
 from facerelight.photo.scenes import Scene, scene_paths
+from facerelight.photo.stages import Stage, StageLog
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from facerelight.photo.landmarks import Face
     from facerelight.photo.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
@@ -97,18 +98,21 @@ def relight_photo(job: Job, request: Request, load: Load, say: Say) -> dict[str,
         ValueError: a file, landmarks or lights that cannot be used; names the photo.
         LandmarksNotFoundError: no face; names the photo.
     """
-    started = time.perf_counter()
-    with _naming(job.photo):
+    started, log = time.perf_counter(), StageLog()
+    with _naming(job.photo), log.measure("read", "the file, to sRGB"):
         photo = read_photo(job.photo)
         more = [read_photo(path) for path in job.more]
-    relighter = load()
-    with _naming(job.photo):
+    with log.measure("statistics", "what is known of faces; read once"):
+        relighter = load()
+    with _naming(job.photo), log.measure("find", "where the faces are"):
         chosen, count = _chosen(job, photo, more, request)
     if count and len(chosen) < count:
         numbers = " and ".join(str(index) for index, _ in chosen)
-        say(f"{job.photo}: face {numbers} of {count}, whole ones first, then by size; --face takes all or another")
+        others = "the picture's border cuts the others" if request.face == "all" else "--face takes all or another"
+        say(f"{job.photo}: face {numbers} of {count}, whole ones first, then by size; {others}")
     with _naming(job.photo):
         report = _relight(job, request, photo, [other.pixels for other in more], chosen, relighter)
+    report["stages"] = [*map(_stage, log.stages), *report["stages"]]
     lost = [f"{path.name}: {line}" for path in job.outputs[:1] for line in not_held(path, photo)]
     lamps = [lamp for scene in request.scenes for lamp in scene.lamps]
     behind = [f"azimuth {lamp.azimuth:g}: {BEHIND}" for lamp in lamps if abs(lamp.azimuth) > 90]
@@ -190,6 +194,8 @@ def _relight(
             facts.append(_facts(other))
             said += other.warnings
         write_photo(path, pixels, photo)
+        if request.strength > 0 and np.array_equal(pixels, photo.pixels):
+            said.append(f"{path.name}: nothing was changed; no person was seen around the landmarks")
     written = [str(path) for path in job.outputs]
     if job.variance:
         _write_map(job.variance, first.std(request.scenes[0].azimuth, request.scenes[0].elevation))
@@ -207,14 +213,16 @@ def _facts(session: PhotoRelighter) -> dict[str, Any]:
         "source_light": {"azimuth": round(azimuth, 1), "elevation": round(elevation, 1)},
         "landmarks": [[round(float(v), 1) for v in point] for point in session.landmarks.tolist()],
         "pose": None if pose is None else {name: round(float(getattr(pose, name)), 1) for name in turns},
-        "stages": [stage._asdict() for stage in session.stages],
+        "stages": [_stage(stage) for stage in session.stages],
     }
+
+
+def _stage(stage: Stage) -> dict[str, Any]:
+    return {**stage._asdict(), "seconds": round(stage.seconds, 4)}
 
 
 def _write_map(path: Path, std: np.ndarray) -> None:
     """A grey picture of a map, white at its largest value."""
-    import numpy as np
-
     grey = (std / max(float(std.max()), 1e-12) * 255).round().astype(np.uint8)
     write_photo(path, np.repeat(grey[..., None], 3, axis=2))
 

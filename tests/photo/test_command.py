@@ -214,7 +214,8 @@ def test_one_face_of_several(made: list[FakeSession], capsys: pytest.CaptureFixt
     assert report["warnings"] == ["the head is turned by 30 degrees"]
     assert report["pose"] == {"yaw": 30.0, "pitch": 0.0, "roll": 1.0}
     assert report["source_light"] == {"azimuth": 12.0, "elevation": 3.0}
-    assert report["stages"][0] == {"name": "matte", "ran": True, "reason": "one face", "seconds": 0.5}
+    assert [stage["name"] for stage in report["stages"]] == ["read", "statistics", "find", "matte", "bust"]
+    assert report["stages"][3] == {"name": "matte", "ran": True, "reason": "one face", "seconds": 0.5}
     assert report["photo"] == "a.png"
     assert report["output"] == ["relit.png"]
     assert report["seconds"] >= 0
@@ -227,12 +228,15 @@ def test_one_face_of_several(made: list[FakeSession], capsys: pytest.CaptureFixt
 
 def test_all_faces_one_after_the_other(made: list[FakeSession], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(photo("a.png"), "--face", "all", "--azimuth", "-30", "30", "--json") == 0
-    report = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    report = json.loads(said.out)
     assert [one["index"] for one in report["faces"]] == [1, 2]
     for name in report["output"]:
         out = read_photo(name).pixels
         assert out[20, 10, 0] == out[20, 45, 0] == 101
         assert out[60, 60, 0] == 100
+    assert "face 1 and 2 of 3" in said.err
+    assert "border cuts the others" in said.err
     assert len(made) == 3  # the first face's session serves every light
 
 
@@ -326,6 +330,18 @@ def test_same_person_is_said(
     monkeypatch.setattr(landmarks_module, "find_faces", lambda pixels: [] if pixels[0, 0, 0] == 7 else [face(5, 30)])
     assert run("a.png", photo("sky.png", value=7), "--same-person", "--force") == 1
     assert "sky.png: found no face" in capsys.readouterr().err
+
+
+def test_a_picture_that_did_not_change_is_said(
+    made: list[FakeSession],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(FakeSession, "render", lambda self, *_, **__: self.pixels)
+    assert run(photo("a.png")) == 0
+    assert "a.png: relit.png: nothing was changed" in capsys.readouterr().err
+    assert run("a.png", "--strength", "0", "--force") == 0
+    assert "nothing was changed" not in capsys.readouterr().err
 
 
 def test_what_the_format_cannot_hold_is_said(made: list[FakeSession], capsys: pytest.CaptureFixture[str]) -> None:
