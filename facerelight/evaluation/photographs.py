@@ -61,7 +61,7 @@ def photograph_measures(
     Returns:
         ``cut``: median abs step of r across the crop's top border, over the middle 0.9 eye distances, less that two
         rows further in; ``step``: from cheek to ear on the side turned from the lamp, |median r at radius .62 to .78 -
-        median at 1.12 to 1.25|; ``lit_half``: median r at radius .3 to .8 on the lamp's side; ``pigment``: median
+        median at 1.12 to 1.25|, of the person's pixels alone; ``lit_half``: median r at radius .3 to .8 on the lamp's side; ``pigment``: median
         L1 / L0 of dark pixels of the face (L0 < .03) over that of the skin around them; ``black``: share of the face
         with L1 < .012 where L0 > .06; ``halo``: largest change, in grey levels, where the matte is 0; ``clipped``:
         share of the person that reaches 255 and did not.
@@ -70,6 +70,8 @@ def photograph_measures(
         got = f"{before.dtype} {before.shape} and {after.dtype} {after.shape}"
         raise ValueError(f"photos: expected two uint8 (H, W, 3) of one size, got {got}")
     crop = _crops(before, after, landmarks, frame)
+    person = np.ones(before.shape[:2], bool) if matte is None else matte > 0.5
+    inside_person = _on_crop(person, landmarks, frame)
     padded = np.log2((crop.after + 0.01) / (crop.before + 0.01))
     inside = (slice(PAD, -PAD), slice(PAD, -PAD))
     ratio, first, second = padded[inside], crop.before[inside], crop.after[inside]
@@ -83,7 +85,7 @@ def photograph_measures(
         shaded, lit = crop.across * side > 0, crop.across * side < 0
         radius = crop.radius
         cheek = _median(ratio, crop.band & shaded & (radius > 0.62) & (radius < 0.78))
-        ear = _median(ratio, crop.band & shaded & (radius > 1.12) & (radius < 1.25))
+        ear = _median(ratio, crop.band & shaded & (radius > 1.12) & (radius < 1.25) & inside_person)
         values["step"] = abs(cheek - ear)
         values["lit_half"] = _median(ratio, crop.band & lit & (radius > 0.3) & (radius < 0.8))
     dark = face & (first < 0.03)
@@ -93,7 +95,6 @@ def photograph_measures(
     values["pigment"] = _median(quotient, dark) / _median(quotient, around & face & (first > 0.06))
     values["black"] = float((second < 0.012)[face & (first > 0.06)].sum() / max(face.sum(), 1))
     change = np.abs(before.astype(np.int16) - after).max(-1)
-    person = np.ones(before.shape[:2], bool) if matte is None else matte > 0.5
     if matte is not None and (matte <= 0).any():
         values["halo"] = float(change[matte <= 0].max())
     clipped = (after.max(-1) == 255) & (before.max(-1) < 255)
@@ -118,6 +119,13 @@ def _crops(before: np.ndarray, after: np.ndarray, landmarks: np.ndarray, frame: 
     band = (up <= 0.2) & (y <= mouth[1])
     radius = frame.oval().numpy()
     return _Crop(luminance[0], luminance[1], mask.numpy(), radius, across, band, unit, bool(top[1] >= 0))
+
+
+def _on_crop(person: np.ndarray, landmarks: np.ndarray, frame: CropFrame) -> np.ndarray:
+    """Where the crop shows the person, ``(h, w)`` bool."""
+    points = torch.as_tensor(np.asarray(landmarks, dtype=np.float64))
+    cover = torch.from_numpy(person.astype(np.float32))[None, None]
+    return warp_to_crop(cover, fit_similarity(points, frame.landmarks)[None], frame)[0, 0].numpy() > 0.5
 
 
 def _median(values: np.ndarray, where: np.ndarray) -> float:

@@ -29,6 +29,11 @@ BODY_FROM, BODY_EDGE = (
 )  # below the first height, and so far inside the outline, the mean body's normals are taken
 OVAL = 0.92  # of the face's outline: inside it the mean head's normals are taken
 BODY_BLUR, FACE_BLUR = 0.12, 0.05  # of normals, in units: clothes and hair follow a body only roughly
+HAIR_ENDS, HAIR_SINKS = (
+    (-0.6, -2.4),
+    -1.2,
+)  # below the first height hair lies closer to the body, below the second on it
+CLOTHES_BLUR = 0.15  # of heights, in units: no hard shadow falls where only the matte tells of a surface
 FEATURE_BLUR = 0.06  # of normals at eyes and lips, in units: they open and close
 FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
 """Places on the mean bust, and how far eyes and lips reach across and up, in units."""
@@ -138,10 +143,13 @@ def make_bust(
     )
     share = cv2.GaussianBlur(face.astype(np.float32), (0, 0), 2.0)[..., None]
     smooth = _unit(share * sharp + (1 - share) * smooth)
-    hair = np.where(y > -1.2, -1.2 + np.sqrt(np.clip(1.2**2 - (1.2 - np.minimum(from_edge, 1.2)) ** 2, 0, None)), BELOW)
-    torso = np.where(low < -2.6, -1.6 + np.sqrt(np.minimum(from_edge, 0.8)), BELOW)
-    highest = np.maximum(np.where(seen, z, np.maximum(torso, BELOW)), hair)
-    height = np.where(person | face, highest, BELOW).astype(np.float32)
+    inflated = np.sqrt(np.clip(1.2**2 - (1.2 - np.minimum(from_edge, 1.2)) ** 2, 0, None))
+    hair = -1.2 + inflated + HAIR_SINKS * np.clip((HAIR_ENDS[0] - low) / (HAIR_ENDS[0] - HAIR_ENDS[1]), 0, 1)
+    torso = -1.6 + np.sqrt(np.minimum(from_edge, 0.8)) * np.clip(-0.5 * low - 0.6, 0, 1)
+    rough = np.maximum(np.where(seen, z, BELOW), np.maximum(hair, np.where(low < -2.0, torso, BELOW)))
+    share = cv2.GaussianBlur((face | (seen & (np.abs(x) < 1.3) & (low > -2.4))).astype(np.float32), (0, 0), 3.0)
+    level = _blur_inside(rough.astype(np.float32), person, CLOTHES_BLUR * BUST.density)
+    height = np.where(person | face, share * rough + (1 - share) * level, BELOW).astype(np.float32)
     return Bust(
         smooth,
         height,
@@ -151,18 +159,26 @@ def make_bust(
     )
 
 
+def _blur_inside(image: np.ndarray, inside: np.ndarray, sigma: float) -> np.ndarray:
+    """Gaussian blur that looks at ``inside`` alone."""
+    weight = inside.astype(np.float32)
+    return cv2.GaussianBlur(image * weight, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
+
+
 def _fine_surface(
     vertices: np.ndarray, height: np.ndarray, person: np.ndarray, normal: np.ndarray, face: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heights and normals on :data:`FINE`: the mesh's own where it is the highest, those of the bust elsewhere."""
     z, own, seen = _rasterise(vertices, FINE)
+    x, y = FINE.places()
     inside = between(person.astype(np.float32), BUST, FINE) > 0.5
     coarse = between(np.maximum(height, -3), BUST, FINE)
+    sharp = (seen & inside & (np.hypot(x / 1.3, (y + 0.6) / 1.8) < 1)).astype(np.float32)
+    sharp = cv2.GaussianBlur(sharp, (0, 0), 4.0)
+    surface = np.maximum(sharp * np.where(seen, z, coarse) + (1 - sharp) * coarse, coarse)
     pit = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
-    surface = cv2.morphologyEx(
-        np.where(seen & inside, z, coarse).astype(np.float32), cv2.MORPH_CLOSE, pit
-    )  # no pits at eyes and mouth
-    heights = np.where(inside, cv2.GaussianBlur(np.maximum(surface, coarse), (0, 0), 0.4), BELOW).astype(np.float32)
+    closed: np.ndarray = cv2.morphologyEx(surface.astype(np.float32), cv2.MORPH_CLOSE, pit)  # no pits at eyes and mouth
+    heights = np.where(inside, cv2.GaussianBlur(closed, (0, 0), 0.4), BELOW).astype(np.float32)
     share = (
         between(cv2.GaussianBlur(cv2.erode(face.astype(np.float32), np.ones((5, 5))), (0, 0), 2.0), BUST, FINE)[
             ..., None
@@ -210,13 +226,19 @@ def _rasterise(vertices: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray
     inside = ((corner.max(1) >= 0) & (corner.min(1) < (width, height))).all(1) & facing
     triangles = triangles[inside]
     extent = (corner.max(1) - corner.min(1)).max(1)[inside]
-    places, normal_samples = [], []
-    for low, high in ((0, 2), (2, 4), (4, 7), (7, 12), (12, 20), (20, 60)):  # pixels; larger triangles are sampled more densely
+    corners = np.concatenate((vertices, normals), 1)  # (V, 6)
+    samples = []
+    for low, high in (
+        (0, 2),
+        (2, 4),
+        (4, 7),
+        (7, 12),
+        (12, 20),
+        (20, 60),
+    ):  # pixels; larger triangles are sampled more densely
         some = triangles[(extent >= low) & (extent < high)]
-        share = _even_shares(high)
-        places.append(np.einsum("bk,tkc->tbc", share, vertices[some]).reshape(-1, 3))
-        normal_samples.append(np.einsum("bk,tkc->tbc", share, normals[some]).reshape(-1, 3))
-    place, normal = np.concatenate(places), np.concatenate(normal_samples)
+        samples.append(np.matmul(_even_shares(high), corners[some]).reshape(-1, 6))
+    place, normal = np.split(np.concatenate(samples), 2, axis=1)
     pixel = np.round(place[:, :2] @ matrix[:, :2].T + matrix[:, 2]).astype(int)
     kept = ((pixel >= 0) & (pixel < (width, height))).all(1)
     index, z = pixel[kept, 1] * width + pixel[kept, 0], place[kept, 2]

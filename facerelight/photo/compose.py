@@ -45,25 +45,24 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
         if not cover.any():
             continue
         source = pixels[strip]
-        maps = (
+        log_ratio, skin, lit, diffuse = (
             _part(m, top, len(source), (height, width))
-            for m in (changes.log_ratio, changes.skin.skin, changes.skin.diffuse)
+            for m in (changes.log_ratio, changes.skin.skin, changes.skin.lit, changes.skin.diffuse)
         )
-        out[strip] = _changed(source, cover, *maps)
+        scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
+        ratio = log_ratio.reshape(*skin.shape, -1)
+        relit = relit_radiance(scene, ratio, skin, lit, diffuse, changes.skin.typical)
+        shown = to_display(scene + cover * (relit - scene), scene)
+        out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
     return out
 
 
-def _changed(
-    source: np.ndarray, cover: np.ndarray, log_ratio: np.ndarray, skin: np.ndarray, diffuse: np.ndarray
-) -> np.ndarray:
-    white = scale_of(source)
-    coded = source.astype(np.float32) / np.float32(white)
-    scene = to_scene(coded)
-    relit = relit_radiance(scene, log_ratio.reshape(*skin.shape, -1), skin, diffuse)
-    shown = to_display(np.maximum(scene + cover * (relit - scene), 0)) * np.float32(white)
-    if source.dtype.kind == "f":
-        return np.where(cover > 0, shown.clip(0, 1), source)
-    return np.where(cover > 0, np.floor(shown + 0.5).clip(0, white).astype(source.dtype), source)
+def _coded(shown: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """sRGB codes in 0..1 as values of the dtype of ``like``."""
+    if like.dtype.kind == "f":
+        return shown.clip(0, 1)
+    white = scale_of(like)
+    return np.floor(shown * np.float32(white) + 0.5).clip(0, white).astype(like.dtype)
 
 
 def _part(image: np.ndarray, top: int, rows: int, size: tuple[int, int]) -> np.ndarray:

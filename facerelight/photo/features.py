@@ -44,7 +44,7 @@ def _polygons(points: np.ndarray, window: Window) -> tuple[np.ndarray, ...]:
     places = (points[:, :2] - (window.columns.start, window.rows.start) + 0.5) * scale - 0.5
 
     def drawn(indices: Sequence[int], grow: float = 0.0) -> np.ndarray:
-        shape = np.zeros((height, width), np.float32)
+        shape: np.ndarray = np.zeros((height, width), np.float32)
         cv2.fillPoly(shape, [np.round(places[list(indices)] * 8).astype(np.int32)], 1.0, shift=3)
         if grow:
             side = 2 * max(1, int(grow * window.unit)) + 1

@@ -11,7 +11,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Window
+from facerelight.photo.frame import Window, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
 __all__ = ["guided_filter", "person_matte"]
@@ -29,7 +29,7 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         window: where the bust lies in it.
     """
     try:
-        cover = _network_cover(image)
+        cover = _network_cover(image, window)
     except (cv2.error, RuntimeError):
         cover = _grabcut_cover(image, window)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
@@ -42,22 +42,42 @@ def _network() -> cv2.dnn.Net:
     return cv2.dnn.readNetFromTFLite(str(network_path(SELFIE_SEGMENTATION)))
 
 
-def _network_cover(image: np.ndarray) -> np.ndarray:
-    """The network's cover, the mean of the picture's and its mirror image's."""
+def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
+    """The network's cover: it sees the bust upright, as it is and mirrored; the mean of both."""
+    to_network = _upright(window)
+    upright = cv2.warpAffine(image, to_network, NETWORK_SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
     network, covers = _network(), []
     for mirrored in (False, True):
-        seen = np.ascontiguousarray(image[:, ::-1] if mirrored else image)
-        network.setInput(cv2.dnn.blobFromImage(seen, 1 / 255, NETWORK_SIZE))
+        seen = np.ascontiguousarray(upright[:, ::-1] if mirrored else upright)
+        network.setInput(cv2.dnn.blobFromImage(seen, 1 / 255))
         cover = network.forward()[0, 0]
         covers.append(cover[:, ::-1] if mirrored else cover)
-    return cv2.resize(np.mean(covers, 0), image.shape[1::-1], interpolation=cv2.INTER_CUBIC).clip(0, 1)
+    back = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        np.mean(covers, 0).astype(np.float32),
+        to_network,
+        window.size[::-1],
+        flags=back,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).clip(0, 1)
+
+
+def _upright(window: Window) -> np.ndarray:
+    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around all of the copy."""
+    height, width = window.size
+    corners = np.array([(x, y) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
+    corners = corners @ window.to_bust[:, :2].T + window.to_bust[:, 2]
+    low, high = corners.min(0), corners.max(0)
+    scale = np.array((NETWORK_SIZE[0] / (high[0] - low[0]), NETWORK_SIZE[1] / (high[1] - low[1])))
+    to_network = np.array([[scale[0], 0, -0.5 - low[0] * scale[0]], [0, -scale[1], high[1] * scale[1] - 0.5]])
+    return compose(to_network, window.to_bust)
 
 
 def _grabcut_cover(image: np.ndarray, window: Window) -> np.ndarray:
     """GrabCut's cover (Rother, Kolmogorov and Blake 2004), seeded by an upright head and shoulders."""
     height, width = window.size
     x, y = window.places()
-    seeds = np.full((height, width), cv2.GC_BGD, np.uint8)
+    seeds: np.ndarray = np.full((height, width), cv2.GC_BGD, np.uint8)
     seeds[(np.hypot(x / 2.2, (y + 0.1) / 2.6) < 1) | ((np.abs(x) < 4.2) & (y < -1.7 - 0.15 * np.abs(x)))] = (
         cv2.GC_PR_BGD
     )
@@ -77,10 +97,11 @@ def _grabcut_cover(image: np.ndarray, window: Window) -> np.ndarray:
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     seeds = cv2.resize(seeds, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     cv2.setRNGSeed(0)
+    nowhere = (0, 0, 1, 1)  # seeds alone count
     cv2.grabCut(
         np.ascontiguousarray(small[..., ::-1]),
         seeds,
-        None,
+        nowhere,
         np.zeros((1, 65)),
         np.zeros((1, 65)),
         5,

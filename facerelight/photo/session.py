@@ -40,9 +40,14 @@ __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
 POSE_LIMIT = 20.0  # degrees of yaw or pitch beyond which the statistics, which are of frontal faces, do not reach
 EXPOSED = 0.85  # quantile of skin luminance that a new light is exposed for
-DARKER, BRIGHTER = -0.5, 0.6  # the most by which exposure goes with it, in log
+LIFT, ROOM = (
+    0.35,
+    0.9,
+)  # a dark photograph's lit side is exposed up by so much, in log; one as bright as the second not at all
+DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.3  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
+HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
 Quality = Literal["draft", "standard", "reference"]
@@ -284,6 +289,8 @@ class PhotoRelighter:
             )
             log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
             log_ratio = log_ratio + self._exposure(log_ratio)
+            held = 1 - HELD * self._skin.pigment[..., None]
+            log_ratio = np.where(log_ratio > 0, held * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
         changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, float(strength))
@@ -310,7 +317,10 @@ class PhotoRelighter:
         gap = np.log(max(float(np.quantile(luminance[skin], EXPOSED)), 1e-4)) - np.log(
             max(float(np.quantile(relit[skin], EXPOSED)), 1e-4)
         )
-        return float(np.clip(gap, DARKER, BRIGHTER))
+        spread = float(np.var(log_ratio.mean(-1)[skin]))
+        changed = spread / (spread + 0.05**2)  # the photo's own light is not exposed anew
+        room = changed * float(np.clip((ROOM - np.quantile(luminance[skin], EXPOSED)) / ROOM, 0, 1))
+        return float(np.clip(gap + LIFT * room, DARKER, BRIGHTER))
 
     @cached_property
     def _features(self) -> Features:
@@ -332,7 +342,8 @@ class PhotoRelighter:
     def _skin(self) -> SkinColour:
         with self._log.measure("skin", "highlights and shade have their own colour"):
             face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
-            return skin_colour(self._scene, face, self._features.eyes_and_lips, self._cover, self.window)
+            oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+            return skin_colour(self._scene, face, oval, self._features.eyes_and_lips, self._cover, self.window)
 
     @cached_property
     def _ratio(self) -> LightRatio:

@@ -21,6 +21,10 @@ COARSE_BIAS, FINE_BIAS = 0.05, 0.02  # heights nearer than this, in units, shade
 REACH = 3.6  # units: nothing farther off casts a shadow that matters
 AT_CAMERA = 0.02  # sine of the angle from the camera below which a lamp sees what the camera sees
 SMALLEST = 0.25  # degrees: no lamp is a point
+CLOTHES_SOFT, CLOTHES_BLUR = (
+    10.0,
+    0.08,
+)  # degrees and units: beyond face and neck the surface is a guess, and so are its shadows
 LEAST_SOFT = 4.0  # degrees, on the coarse grid
 
 
@@ -72,6 +76,9 @@ class BustShading:
     def __init__(self, bust: Bust, exhaustive: bool = False) -> None:
         self.bust, self.exhaustive = bust, exhaustive
         self.marches = 0
+        x, y = FINE.places()
+        known = np.clip((1.15 - np.hypot(x / 1.6, (y + 0.9) / 2.3)) / 0.3, 0, 1)
+        self._known = (known * known * (3 - 2 * known)).astype(np.float32)
         self._coarse: dict[int, np.ndarray] = {}
         self._fine: dict[tuple[float, float], np.ndarray] = {}
 
@@ -96,7 +103,10 @@ class BustShading:
         if towards not in self._fine:
             self.marches += 1
             self._fine[towards] = horizon(self.bust.fine, FINE.density, towards, 0.03, 1.035, FINE_BIAS)
-        return cv2.GaussianBlur(visible_share(self._fine[towards], light, size).astype(np.float32), (0, 0), 0.5)
+        sharp = cv2.GaussianBlur(visible_share(self._fine[towards], light, size).astype(np.float32), (0, 0), 0.5)
+        vague = visible_share(self._fine[towards], light, size + CLOTHES_SOFT).astype(np.float32)
+        smooth: np.ndarray = cv2.GaussianBlur(vague, (0, 0), CLOTHES_BLUR * FINE.density)
+        return self._known * sharp + (1 - self._known) * smooth
 
     def _sees_all(self, light: np.ndarray) -> bool:
         """Whether a lamp stands at the camera: what the camera sees, it lights."""
