@@ -14,12 +14,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import BUST, FINE, Grid, between
+from facerelight.photo.frame import BUST, FINE, between
+from facerelight.photo.mesh import draw_mesh, harmonic, unit_vectors
 
 __all__ = ["Bust", "MeanBust", "fit_bust", "make_bust", "mean_bust"]
 
 BELOW = -6.0  # height of what is not the person
-WARP_REACH = 0.35  # units over which the face's own proportions move the mean bust
+WARP_REACH = 0.6  # units over which the face's own proportions move the mean bust
+POINT_STEP = 3  # the points are so dense that every third will do
+NEAR_FACE = (-1.5, 1.5, -2.7, 1.4)  # x from, x to, y from, y to, in units: what is drawn finely
 WARP_DOUBT = 0.5  # of a point's weight: far from all points the head stays where its pose puts it
 THROAT = np.array((0.0, -1.6, -0.9))  # about which a head turns on its body
 NECK = (-1.5, -2.8)  # between these heights the head goes over into the body
@@ -34,7 +37,7 @@ HAIR_ENDS, HAIR_SINKS = (
     -1.2,
 )  # below the first height hair lies closer to the body, below the second on it
 CLOTHES_BLUR = 0.15  # of heights, in units: no hard shadow falls where only the matte tells of a surface
-FEATURE_BLUR = 0.06  # of normals at eyes and lips, in units: they open and close
+FEATURE_BLUR = 0.04  # of normals at eyes and lips, in units: they open and close
 FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
 """Places on the mean bust, and how far eyes and lips reach across and up, in units."""
 
@@ -97,9 +100,12 @@ def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0))
     of_body = np.clip((NECK[0] - bust.vertices[:, 1:2]) / (NECK[0] - NECK[1]), 0, 1)
     vertices = (1 - of_body) * head + of_body * body
     marked = scale * turned + shift
-    squared = np.square(vertices[:, None] - marked[None]).sum(-1)  # (V, 468)
-    weight = np.exp(-squared / (2 * WARP_REACH**2))
-    vertices[:, :2] += weight @ (points - marked)[:, :2] / (weight.sum(1, keepdims=True) + WARP_DOUBT)
+    near = bust.vertices[:, 1] > NECK[1]
+    few, moves = marked[::POINT_STEP].astype(np.float32), (points - marked)[::POINT_STEP, :2]
+    here = vertices[near].astype(np.float32)
+    squared = np.square(here).sum(1)[:, None] + np.square(few).sum(1) - 2 * here @ few.T  # (V', P)
+    weight = np.exp(-squared / np.float32(2 * WARP_REACH**2))
+    vertices[near, :2] += weight @ moves / (weight.sum(1, keepdims=True) + WARP_DOUBT / POINT_STEP)
     return vertices
 
 
@@ -125,7 +131,7 @@ def make_bust(
     low = -1.0 - (
         x * down[0] + (y + 1.0) * down[1]
     )  # along the neck, which leaves the head a unit below the eyes; upright: y
-    z, normal, seen = _rasterise(vertices, BUST)
+    z, normal, seen = draw_mesh(vertices, mean_bust().triangles, BUST)
     person = matte > 0.5
     oval = np.hypot(x, (y + 0.42) / 1.42)
     rim, outward = _silhouette(matte, person, in_picture)
@@ -137,12 +143,12 @@ def make_bust(
     known[face | body] = normal[face | body]
     field = harmonic(known, rim | face | body, person | face)
     field[..., 2] = np.maximum(field[..., 2], 0.02)
-    field = _unit(field).astype(np.float32)
+    field = unit_vectors(field).astype(np.float32)
     sharp, smooth = (
         cv2.GaussianBlur(field, (0, 0), sigma) for sigma in (FACE_BLUR * BUST.density, BODY_BLUR * BUST.density)
     )
     share = cv2.GaussianBlur(face.astype(np.float32), (0, 0), 2.0)[..., None]
-    smooth = _unit(share * sharp + (1 - share) * smooth)
+    smooth = unit_vectors(share * sharp + (1 - share) * smooth)
     inflated = np.sqrt(np.clip(1.2**2 - (1.2 - np.minimum(from_edge, 1.2)) ** 2, 0, None))
     hair = -1.2 + inflated + HAIR_SINKS * np.clip((HAIR_ENDS[0] - low) / (HAIR_ENDS[0] - HAIR_ENDS[1]), 0, 1)
     torso = -1.6 + np.sqrt(np.minimum(from_edge, 0.8)) * np.clip(-0.5 * low - 0.6, 0, 1)
@@ -169,25 +175,21 @@ def _fine_surface(
     vertices: np.ndarray, height: np.ndarray, person: np.ndarray, normal: np.ndarray, face: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heights and normals on :data:`FINE`: the mesh's own where it is the highest, those of the bust elsewhere."""
-    z, own, seen = _rasterise(vertices, FINE)
+    z, own, seen = draw_mesh(vertices, mean_bust().triangles, FINE, NEAR_FACE)
     x, y = FINE.places()
     inside = between(person.astype(np.float32), BUST, FINE) > 0.5
     coarse = between(np.maximum(height, -3), BUST, FINE)
-    sharp = (seen & inside & (np.hypot(x / 1.3, (y + 0.6) / 1.8) < 1)).astype(np.float32)
-    sharp = cv2.GaussianBlur(sharp, (0, 0), 4.0)
+    of_head = (seen & inside & (np.hypot(x / 1.3, (y + 0.6) / 1.8) < 1)).astype(np.float32)
+    sharp = cv2.GaussianBlur(of_head, (0, 0), 4.0)
     surface = np.maximum(sharp * np.where(seen, z, coarse) + (1 - sharp) * coarse, coarse)
     pit = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
     closed: np.ndarray = cv2.morphologyEx(surface.astype(np.float32), cv2.MORPH_CLOSE, pit)  # no pits at eyes and mouth
     heights = np.where(inside, cv2.GaussianBlur(closed, (0, 0), 0.4), BELOW).astype(np.float32)
-    share = (
-        between(cv2.GaussianBlur(cv2.erode(face.astype(np.float32), np.ones((5, 5))), (0, 0), 2.0), BUST, FINE)[
-            ..., None
-        ]
-        * seen[..., None]
-    )
+    sure = cv2.GaussianBlur(cv2.erode(face.astype(np.float32), np.ones((5, 5))), (0, 0), 2.0)
+    share = (between(sure, BUST, FINE) * seen)[..., None]
     own, features = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 0.6), _features(vertices)[..., None]
     own = features * cv2.GaussianBlur(own, (0, 0), FEATURE_BLUR * FINE.density) + (1 - features) * own
-    return heights, _unit(share * own + (1 - share) * between(normal, BUST, FINE)).astype(np.float32)
+    return heights, unit_vectors(share * own + (1 - share) * between(normal, BUST, FINE)).astype(np.float32)
 
 
 def _features(vertices: np.ndarray) -> np.ndarray:
@@ -208,103 +210,4 @@ def _silhouette(matte: np.ndarray, person: np.ndarray, in_picture: np.ndarray) -
     slope = np.hypot(dx, dy)
     inner = cv2.erode(in_picture.astype(np.uint8), np.ones((7, 7))) > 0
     rim = person & ~(cv2.erode(person.astype(np.uint8), np.ones((3, 3))) > 0) & inner & (slope > 1e-4)
-    return rim, _unit(np.stack((-dx, dy, 0.35 * slope), -1))
-
-
-def _rasterise(vertices: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height ``(H, W)``, unit normal ``(H, W, 3)`` and cover ``(H, W)`` bool of the mean bust's mesh with other ``vertices``, seen from +z.
-
-    Every triangle is sampled evenly, and each pixel keeps its highest samples: exact enough for triangles of a few pixels.
-    """
-    triangles = mean_bust().triangles
-    normals = _vertex_normals(vertices, triangles)
-    height, width = grid.size
-    matrix = grid.matrix()
-    corner = np.round(vertices[:, :2] @ matrix[:, :2].T + matrix[:, 2]).astype(int)[triangles]  # (T, 3, 2)
-    turn = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    facing = turn[0][:, 0] * turn[1][:, 1] - turn[0][:, 1] * turn[1][:, 0] <= 0  # rows run downwards
-    inside = ((corner.max(1) >= 0) & (corner.min(1) < (width, height))).all(1) & facing
-    triangles = triangles[inside]
-    extent = (corner.max(1) - corner.min(1)).max(1)[inside]
-    corners = np.concatenate((vertices, normals), 1)  # (V, 6)
-    samples = []
-    for low, high in (
-        (0, 2),
-        (2, 4),
-        (4, 7),
-        (7, 12),
-        (12, 20),
-        (20, 60),
-    ):  # pixels; larger triangles are sampled more densely
-        some = triangles[(extent >= low) & (extent < high)]
-        samples.append(np.matmul(_even_shares(high), corners[some]).reshape(-1, 6))
-    place, normal = np.split(np.concatenate(samples), 2, axis=1)
-    pixel = np.round(place[:, :2] @ matrix[:, :2].T + matrix[:, 2]).astype(int)
-    kept = ((pixel >= 0) & (pixel < (width, height))).all(1)
-    index, z = pixel[kept, 1] * width + pixel[kept, 0], place[kept, 2]
-    highest = np.full(height * width, -np.inf)
-    np.maximum.at(highest, index, z)
-    top = z > highest[index] - 0.03
-    samples = normal[kept][top]
-    index, z = index[top], z[top]
-    count = np.bincount(index, minlength=height * width)
-    total = (
-        np.stack([np.bincount(index, column, height * width) for column in (*samples.T, z)], -1)
-        / np.maximum(count, 1)[:, None]
-    )
-    cover = (count > 0).reshape(height, width)
-    return total[:, 3].reshape(height, width), _unit(total[:, :3].reshape(height, width, 3)), cover
-
-
-def _even_shares(n: int) -> np.ndarray:
-    """Barycentric coordinates of ``n * n`` evenly spread samples of a triangle, ``(n * n, 3)``."""
-    first = [(i + 1 / 3, j + 1 / 3) for i in range(n) for j in range(n - i)]
-    second = [(i + 2 / 3, j + 2 / 3) for i in range(n - 1) for j in range(n - 1 - i)]
-    share = np.array(first + second) / n
-    return np.column_stack((share, 1 - share.sum(1)))
-
-
-def _vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Smooth normals ``(V, 3)``: the sum of the faces around each vertex, weighted by area."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    face = np.cross(b - a, c - a)
-    return _unit(
-        np.stack([sum(np.bincount(triangles[:, k], face[:, d], len(vertices)) for k in range(3)) for d in range(3)], -1)
-    )
-
-
-def harmonic(value: np.ndarray, known: np.ndarray, inside: np.ndarray, rounds: int = 60) -> np.ndarray:
-    """Harmonic interpolation of ``value (H, W, C)`` from the ``known`` pixels over ``inside``, no flow across its outline; coarse to fine."""
-    levels: list[tuple[np.ndarray, ...]] = [
-        (value * known[..., None], known.astype(np.float32), inside.astype(np.float32))
-    ]
-    while min(levels[-1][1].shape) > 12:
-        half = levels[-1][1].shape[1] // 2, levels[-1][1].shape[0] // 2
-        levels.append(
-            tuple(cv2.resize(part.astype(np.float32), half, interpolation=cv2.INTER_AREA) for part in levels[-1])
-        )
-    cross = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
-    field: np.ndarray | None = None
-    for v, k, i in reversed(levels):
-        free = (i > 0.3) & (k <= 0.25)
-        average = v / np.maximum(k, 1e-6)[..., None]
-        if field is None:
-            field = np.broadcast_to(v.sum((0, 1)) / max(float(k.sum()), 1e-6), v.shape).astype(np.float32)
-        else:
-            field = cv2.resize(field, v.shape[1::-1], interpolation=cv2.INTER_LINEAR).reshape(v.shape)
-        field = np.where((k > 0.25)[..., None], average, field).astype(np.float32)
-        weight = (i > 0.3).astype(np.float32)
-        around = np.maximum(cv2.filter2D(weight, -1, cross, borderType=cv2.BORDER_CONSTANT), 1e-6)[..., None]
-        for _ in range(rounds):
-            mean = (
-                cv2.filter2D(field * weight[..., None], -1, cross, borderType=cv2.BORDER_CONSTANT).reshape(v.shape)
-                / around
-            )
-            field = np.where(free[..., None], mean, field)
-    if field is None:
-        raise ValueError("harmonic: expected a map of at least one pixel")
-    return field
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
+    return rim, unit_vectors(np.stack((-dx, dy, 0.35 * slope), -1))

@@ -17,6 +17,7 @@ from facerelight.sources import LUMINANCE
 __all__ = ["LUMA", "SkinColour", "relit_radiance", "skin_colour", "to_display", "to_scene"]
 
 LUMA = np.array(LUMINANCE, np.float32)
+ONES = np.ones(3, np.float32)
 SHOULDER = 0.5  # a: how much the camera rolls highlights off
 TOE = 1.25  # g: how much it darkens shade
 WARM = 0.03  # shade of skin is redder: light bleeds through it, red most of all
@@ -44,7 +45,7 @@ def to_display(scene: np.ndarray, before: np.ndarray | None = None) -> np.ndarra
     """
     linear = _developed(scene)
     if before is not None:
-        most, own = linear.max(-1, keepdims=True), _developed(before).max(-1, keepdims=True)
+        most, own = _most(linear)[..., None], _most(_developed(before))[..., None]
         base = np.maximum(own, KNEE)
         room = np.maximum(WHITEST - base, 1e-3)
         rolled = np.minimum(base + room * (1 - np.exp(-np.maximum(most - base, 0) / room)), np.maximum(WHITEST, own))
@@ -91,7 +92,7 @@ def skin_colour(
     small = min(1.0, 60 / window.unit)
     e = cv2.resize(scene, None, fx=small, fy=small, interpolation=cv2.INTER_AREA)
     weight = cv2.resize(sure, e.shape[1::-1], interpolation=cv2.INTER_AREA)
-    saturation = 1 - e.min(-1) / np.maximum(e.max(-1), 1e-4)
+    saturation = 1 - _least(e) / np.maximum(_most(e), 1e-4)
     weight_of_colour = weight * np.exp(np.clip(SATURATED * saturation, 0, 12))
     sigma = SPREAD * window.unit * small
     colour = e / np.maximum(e @ LUMA, 1e-4)[..., None]
@@ -140,10 +141,10 @@ def _skin_elsewhere(scene: np.ndarray, diffuse: np.ndarray, matte: np.ndarray, w
 
 def part_highlight(scene: np.ndarray, diffuse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dichromatic parts of radiance: ``e = d diffuse + s (1, 1, 1)`` in least squares, s within the least channel; ``(h, w)`` each."""
-    a11, a12 = np.square(diffuse).sum(-1), diffuse.sum(-1)
-    b1, b2 = (scene * diffuse).sum(-1), scene.sum(-1)
+    a11, a12 = np.square(diffuse) @ ONES, diffuse @ ONES
+    b1, b2 = (scene * diffuse) @ ONES, scene @ ONES
     determinant = np.maximum(3 * a11 - a12**2, 1e-3)
-    highlight = np.clip((a11 * b2 - a12 * b1) / determinant, 0, 0.9 * scene.min(-1))
+    highlight = np.clip((a11 * b2 - a12 * b1) / determinant, 0, 0.9 * _least(scene))
     return np.maximum((3 * b1 - a12 * b2) / determinant, 0), highlight
 
 
@@ -187,6 +188,16 @@ def _clean_light(body: np.ndarray, log_ratio: np.ndarray, diffuse: np.ndarray, t
     own = own * luminance / np.maximum((own @ LUMA)[..., None], 1e-4)
     lifted = np.clip((log_ratio - LIFTED[0]) / (LIFTED[1] - LIFTED[0]), 0, MOST_TYPICAL)
     return added * ((1 - lifted) * own + lifted * luminance * typical - body)
+
+
+def _most(colour: np.ndarray) -> np.ndarray:
+    """The largest channel."""
+    return np.maximum(np.maximum(colour[..., 0], colour[..., 1]), colour[..., 2])
+
+
+def _least(colour: np.ndarray) -> np.ndarray:
+    """The smallest channel."""
+    return np.minimum(np.minimum(colour[..., 0], colour[..., 1]), colour[..., 2])
 
 
 def _blur(image: np.ndarray, sigma: float) -> np.ndarray:

@@ -5,10 +5,12 @@ Nothing outside the person's cover is touched, and no more memory is taken than 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+import torch
 
 from facerelight.photo.colour import SkinColour, relit_radiance, to_display, to_scene
 from facerelight.photo.frame import Window
@@ -16,7 +18,7 @@ from facerelight.photo.pixels import scale_of
 
 __all__ = ["Changes", "change_pixels"]
 
-STRIP = 1 << 18  # pixels worked on at once
+STRIP = 1 << 17  # pixels worked on at once
 
 
 class Changes(NamedTuple):
@@ -36,24 +38,28 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
     """
     out = pixels.copy()
     height, width = out[window.rows, window.columns].shape[:2]
-    rows = max(1, STRIP // width)
     if changes.strength == 0:
         return out
-    for top in range(0, height, rows):
+    rows = max(1, STRIP // width)
+
+    def change(top: int) -> None:
         strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
-        cover = _part(changes.cover, top, min(rows, height - top), (height, width))[..., None] * changes.strength
-        if not cover.any():
-            continue
         source = pixels[strip]
-        log_ratio, skin, lit, diffuse = (
-            _part(m, top, len(source), (height, width))
-            for m in (changes.log_ratio, changes.skin.skin, changes.skin.lit, changes.skin.diffuse)
+        cover = _part(changes.cover, top, len(source), (height, width))[..., None] * np.float32(changes.strength)
+        if not cover.any():
+            return
+        skin = changes.skin
+        log_ratio, where, lit, diffuse = (
+            _part(image, top, len(source), (height, width))
+            for image in (changes.log_ratio, skin.skin, skin.lit, skin.diffuse)
         )
         scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
-        ratio = log_ratio.reshape(*skin.shape, -1)
-        relit = relit_radiance(scene, ratio, skin, lit, diffuse, changes.skin.typical)
+        relit = relit_radiance(scene, log_ratio.reshape(*where.shape, -1), where, lit, diffuse, skin.typical)
         shown = to_display(scene + cover * (relit - scene), scene)
         out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        list(pool.map(change, range(0, height, rows)))
     return out
 
 

@@ -46,7 +46,7 @@ class Grid:
 
 BUST = Grid(4.5, 3.5, -6.5, 24)
 """The whole bust, fine enough for its shape and for soft light."""
-FINE = Grid(4.5, 3.5, -6.5, 48)
+FINE = Grid(4.5, 3.5, -6.5, 64)
 """The same, fine enough for the edges of shadows and for the face."""
 REACH = (4.6, 3.6, 6.2)  # of the window, in units: to each side, above and below the eyes
 LARGEST_SIDE = 800  # pixels of the window at which maps are made

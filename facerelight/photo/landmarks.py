@@ -43,7 +43,8 @@ class Limits(NamedTuple):
     apart: float
 
 
-PLAUSIBLE = Limits(0.3, 0.6, 0.16, 0.9)
+PLAUSIBLE = Limits(0.6, 0.6, 0.16, 0.9)
+FAINT = Limits(0.3, 0.98, 0.16, 0.9)  # what the detector hardly sees, the mesh must be sure of
 # Upright faces have mesh scores above 0.9999, the same faces upside down less; what is no face has less than 0.05.
 CLEAR = Limits(0.6, 0.9999, 0.14, 0.9)
 
@@ -177,7 +178,7 @@ def _search(photo: np.ndarray) -> list[Face]:
     def clear(*copies: tuple[int, float]) -> list[_Fitted]:
         nonlocal candidates, known
         for side, turn in copies:
-            found = detect_faces(base, side, turn, PLAUSIBLE.score)
+            found = detect_faces(base, side, turn, FAINT.score)
             candidates = candidates + [Candidate((one.points + 0.5) * factor - 0.5, one.score) for one in found]
         candidates = merge_candidates(candidates)
         known = {id(one): known.get(id(one)) or _fit(photo, one) for one in candidates}
@@ -191,8 +192,8 @@ def _search(photo: np.ndarray) -> list[Face]:
     upright = {id(one) for one in candidates}
     if not found:
         clear(*((FIRST_SIDE, turn) for turn in TURNS))
-    limits = {key: PLAUSIBLE if key in upright else CLEAR for key in known}
-    return _distinct([one.face for key, one in known.items() if one.within(limits[key])])
+    limits = {key: (PLAUSIBLE, FAINT) if key in upright else (CLEAR,) for key in known}
+    return _distinct([one.face for key, one in known.items() if any(map(one.within, limits[key]))])
 
 
 def _ordered(faces: list[Face]) -> list[Face]:

@@ -14,11 +14,11 @@ import numpy as np
 from facerelight.photo.frame import Window, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
-__all__ = ["guided_filter", "person_matte"]
+__all__ = ["person_matte"]
 
 NETWORK_SIZE = (256, 256)
 RADIUS = 0.10  # of the guided filter, in units
-EDGE = 1e-4  # variance of colour that counts as an edge
+EDGE = 1e-4 * 255**2  # variance of colour, in grey levels, that counts as an edge
 
 
 def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
@@ -33,7 +33,7 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
     except (cv2.error, RuntimeError):
         cover = _grabcut_cover(image, window)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
-    fine = guided_filter(image.astype(np.float32) / 255, cover, max(2, int(RADIUS * window.unit)), EDGE)
+    fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
     return np.clip((fine - 0.12) / 0.76, 0, 1)
 
 
@@ -109,23 +109,3 @@ def _grabcut_cover(image: np.ndarray, window: Window) -> np.ndarray:
     )
     cover = ((seeds == cv2.GC_FGD) | (seeds == cv2.GC_PR_FGD)).astype(np.float32)
     return cv2.resize(cv2.GaussianBlur(cover, (0, 0), 1), (width, height), interpolation=cv2.INTER_LINEAR)
-
-
-def guided_filter(guide: np.ndarray, image: np.ndarray, radius: int, eps: float) -> np.ndarray:
-    """Colour guided filter (He, Sun and Tang 2010): ``image (H, W)`` as a locally linear function of ``guide (H, W, 3)`` in 0..1."""
-    size = (2 * radius + 1, 2 * radius + 1)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(values, -1, size, borderType=cv2.BORDER_REFLECT)
-
-    centre, level = mean(guide), mean(image)
-    pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-    second = {(i, j): mean(guide[..., i] * guide[..., j]) - centre[..., i] * centre[..., j] for i, j in pairs}
-    covariance = np.stack(
-        [np.stack([second[min(i, j), max(i, j)] for j in range(3)], -1) for i in range(3)], -2
-    )  # (H, W, 3, 3)
-    cross = mean(guide * image[..., None]) - centre * level[..., None]
-    covariance = covariance.astype(np.float64) + eps * np.eye(3)
-    slope = np.linalg.solve(covariance, cross[..., None].astype(np.float64))[..., 0].astype(np.float32)
-    offset = level - (slope * centre).sum(-1)
-    return (mean(slope) * guide).sum(-1) + mean(offset)

@@ -1,4 +1,4 @@
-"""The ratio of new light to old over a whole bust: the face's from the statistical model, the rest from the bust's shading, joined without a seam.
+"""The ratio of new light to old over a whole bust: the face's from the model, the rest from shading, joined without a seam.
 
 All maps are of :data:`facerelight.photo.frame.FINE`. A light is a sum of points, and so is what it does: the model's posterior mean and the
 bust's irradiance are linear in it. The mean over people is a soft light itself: it knows how bright each part of a face becomes, but not where
@@ -21,10 +21,10 @@ from facerelight.sources import LightMixture
 __all__ = ["FaceEvidence", "LightRatio"]
 
 DARK = 0.02  # of the face's mean radiance: below it ratios level out
-LEAK = 0.15  # what the mean over people leaves of a lamp where most people are in shadow
+LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
 COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
-EDGES = 0.9  # of the face's fine shading is the bust's
-FAINT_FACE, FAINT = 0.01, 0.02  # of the brightest bust shading: below it ratios level out
+EDGES = 1.0  # of the face's fine shading is the bust's
+FAINT_FACE, FAINT = 0.005, 0.02  # of the brightest bust shading: below it ratios level out
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
@@ -70,14 +70,15 @@ class LightRatio:
         self._fully_lit = np.maximum(_blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
         self.dark = DARK * max(mean, 1e-3)
-        self.source_face = self._face_light(source)[..., 0]
-        self.source_bust = self._bust_light(source)[..., 0]
+        self._soft: dict[tuple[bytes, bytes, float], tuple[np.ndarray, np.ndarray]] = {}
+        own = self._maps(source)
+        self.source_face, self.source_bust = own[0][..., 0], own[1][..., 0]
         seen = crop_onto(_blur(face.luminance, 0.8), crop, FINE, 1.0)
         self.unexplained = self.trust * np.clip(np.log((self.source_face + self.dark) / (seen + self.dark)), -1, 1)
 
     def __call__(self, light: LightMixture) -> np.ndarray:
         """``(H, W, C)`` log ratio; C is 1 for white light, else 3. Under the photograph's own light it is 0."""
-        face, bust = self._face_light(light), self._bust_light(light)
+        face, bust = self._maps(light)
         return np.stack([self._joined(face[..., c], bust[..., c]) for c in range(face.shape[-1])], -1)
 
     def _joined(self, face: np.ndarray, bust: np.ndarray) -> np.ndarray:
@@ -119,51 +120,65 @@ class LightRatio:
         variance = float((weight * (inner - mean) ** 2).sum() / weight.sum())
         return variance / (variance + SAME_LIGHT**2)
 
-    def _face_light(self, light: LightMixture) -> np.ndarray:
-        """The face's radiance under ``light``, ``(H, W, C)``; light from behind comes from its nearest side.
+    def _maps(self, light: LightMixture) -> tuple[np.ndarray, np.ndarray]:
+        """The face's radiance and the white bust's irradiance under ``light``, ``(H, W, C)`` each: the sum over its sources.
 
-        Each lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit face.
+        Soft light from one set of directions, such as the fill, is worked out once.
         """
-        front = light.directions.numpy().copy()
+        directions, weights, sizes = light.directions.numpy(), _channels(light), light.size.numpy()
+        face = np.zeros((*FINE.size, weights.shape[1]), np.float32)
+        bust = np.zeros_like(face)
+        for members in _lamps(light):
+            towards, share, size = directions[members], weights[members], float(sizes[members[0]])
+            strength = float(share.max())
+            if strength == 0:
+                continue
+            share = share / strength
+            key = (towards.tobytes(), share.tobytes(), size)
+            found = self._soft.get(key)
+            if found is None:
+                found = self._face_light(towards, share, size), self._bust_light(towards, share, size)
+            if size >= SOFT:
+                self._soft = {key: found}
+            face += strength * found[0]
+            bust += strength * found[1]
+        return face, bust
+
+    def _face_light(self, directions: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
+        """The face's radiance under one source, ``(H, W, C)``; light from behind comes from its nearest side.
+
+        A lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit face.
+        """
+        front = directions.copy()
         front[:, 2] = np.maximum(front[:, 2], 0)
         front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
         radiance = self.face.radiance(front)  # (P, h, w)
-        share = radiance / self._fully_lit
-        edged = np.clip((SOFT - light.size.numpy()) / 10, 0, 1)[:, None, None]
-        radiance = radiance * (share * (1 + LEAK) / (share + LEAK)) ** edged
-        lit = np.einsum("pc,phw->chw", _channels(light), radiance).astype(np.float32)
+        edged = float(np.clip((SOFT - size) / 10, 0, 1))
+        if edged:
+            share = radiance / self._fully_lit
+            radiance = radiance * (share * (1 + LEAK) / (share + LEAK)) ** edged
+        lit = np.tensordot(weights.T, radiance, 1).astype(np.float32)  # (C, h, w)
         return np.stack([crop_onto(channel, self.crop, FINE) for channel in lit], -1)
 
-    def _bust_light(self, light: LightMixture) -> np.ndarray:
-        """The white bust's irradiance under ``light``, ``(H, W, C)``."""
-        weights, total = _channels(light), np.zeros((*FINE.size, 1), np.float32)
-        for members in _lamps(light):
-            directions, share = light.directions[members].numpy(), weights[members]
-            size = float(light.size[members[0]])
-            if size < SOFT:
-                lit = np.tensordot(
-                    np.stack([self.shading.fine_lambert(d) for d in directions]), share, ((0,), (0,))
-                )  # (H, W, C)
-                total = total + lit * self.shading.fine_visibility(_middle(directions), size)[..., None]
-            else:
-                lit = np.tensordot(
-                    np.stack([self.shading.shade(d, size) for d in directions]), share, ((0,), (0,))
-                ).astype(np.float32)
-                total = total + np.stack(
-                    [between(np.ascontiguousarray(lit[..., c]), BUST, FINE) for c in range(lit.shape[-1])], -1
-                )
-        return total
+    def _bust_light(self, directions: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
+        """The white bust's irradiance under one source, ``(H, W, C)``."""
+        if size >= SOFT:
+            shades = np.stack([self.shading.shade(one, size) for one in directions])  # (P, H', W')
+            lit = np.tensordot(weights.T, shades, 1).astype(np.float32)
+            return np.stack([between(channel, BUST, FINE) for channel in lit], -1)
+        middle = directions.mean(0)
+        middle /= max(float(np.linalg.norm(middle)), 1e-6)
+        seen = self.shading.fine_visibility(middle, size)
+        lit = sum(
+            self.shading.fine_lambert(one)[..., None] * share for one, share in zip(directions, weights, strict=True)
+        )
+        return lit * seen[..., None]
 
 
 def _lamps(light: LightMixture) -> list[np.ndarray]:
     """Indices of the points of each source; large ones, which have no edges, are taken together."""
     number = np.where(light.size.numpy() >= SOFT, -1, light.source.numpy())
     return [np.flatnonzero(number == one) for one in np.unique(number)]
-
-
-def _middle(directions: np.ndarray) -> np.ndarray:
-    mean = directions.mean(0)
-    return mean / max(float(np.linalg.norm(mean)), 1e-6)
 
 
 def _channels(light: LightMixture) -> np.ndarray:

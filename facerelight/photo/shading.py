@@ -1,6 +1,6 @@
 """How light falls on a bust: wrapped Lambert shading times what the horizon leaves of each lamp.
 
-The horizon of a point towards some azimuth is the steepest slope at which the surface rises that way (horizon mapping, Max 1988). A lamp is a
+The horizon of a point towards some azimuth is the highest angle that the surface reaches that way (horizon mapping, Max 1988). A lamp is a
 disc; the part of it above the horizon reaches the point, so a small lamp's shadow is sharp and a large one's soft, at the same cost.
 """
 
@@ -17,7 +17,7 @@ __all__ = ["BustShading", "horizon", "visible_share"]
 WRAP = 0.02  # light reaches a little beyond the terminator
 DEPTH = 0.88  # of a soft shadow: the rest is light from surfaces around
 AZIMUTHS = 16  # horizons of the coarse grid; those between are interpolated
-COARSE_BIAS, FINE_BIAS = 0.05, 0.02  # heights nearer than this, in units, shade nothing: they are the grid's own error
+COARSE_BIAS, FINE_BIAS = 0.05, 0.01  # heights nearer than this, in units, shade nothing: they are the grid's own error
 REACH = 3.6  # units: nothing farther off casts a shadow that matters
 AT_CAMERA = 0.02  # sine of the angle from the camera below which a lamp sees what the camera sees
 SMALLEST = 0.25  # degrees: no lamp is a point
@@ -31,7 +31,7 @@ LEAST_SOFT = 4.0  # degrees, on the coarse grid
 def horizon(
     height: np.ndarray, density: int, towards: tuple[float, float], first: float, growth: float, bias: float
 ) -> np.ndarray:
-    """Tangent of the angle, above the picture's plane, at which the surface ends in one direction ``(H, W)``.
+    """The angle in radians, above the picture's plane, at which the surface ends in one direction ``(H, W)``.
 
     Args:
         height: ``(H, W)`` in units.
@@ -55,13 +55,13 @@ def horizon(
         np.maximum(steepest, (there - lifted) / np.float32(distance), out=steepest)
         step *= growth
         distance += step
-    return steepest
+    return np.arctan(steepest)
 
 
-def visible_share(steepest: np.ndarray, light: np.ndarray, size: float) -> np.ndarray:
+def visible_share(ends: np.ndarray, light: np.ndarray, size: float) -> np.ndarray:
     """The share ``(H, W)``, 0 to 1, of a lamp's disc of angular radius ``size`` (degrees) towards ``light (3,)`` that is above the horizon."""
     rise = np.arctan2(float(light[2]), float(np.hypot(light[0], light[1])))
-    share = np.clip((rise - np.arctan(steepest)) / (2 * np.deg2rad(max(size, SMALLEST))) + 0.5, 0, 1)
+    share = np.clip((rise - ends) / (2 * np.deg2rad(max(size, SMALLEST))) + 0.5, 0, 1)
     return share * share * (3 - 2 * share)
 
 
