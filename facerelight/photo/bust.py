@@ -17,7 +17,7 @@ import numpy as np
 from facerelight.photo.frame import BUST, FINE, between
 from facerelight.photo.mesh import draw_mesh, harmonic, unit_vectors
 
-__all__ = ["Bust", "MeanBust", "fit_bust", "make_bust", "mean_bust"]
+__all__ = ["Bust", "MeanBust", "fit_bust", "head_rotation", "make_bust", "mean_bust"]
 
 BELOW = -6.0  # height of what is not the person
 WARP_REACH = 0.6  # units over which the face's own proportions move the mean bust
@@ -37,7 +37,7 @@ HAIR_ENDS, HAIR_SINKS = (
     -1.2,
 )  # below the first height hair lies closer to the body, below the second on it
 CLOTHES_BLUR = 0.15  # of heights, in units: no hard shadow falls where only the matte tells of a surface
-FEATURE_BLUR = 0.04  # of normals at eyes and lips, in units: they open and close
+FEATURE_BLUR = 0.025  # of normals at eyes and lips, in units: they open and close
 FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
 """Places on the mean bust, and how far eyes and lips reach across and up, in units."""
 
@@ -89,7 +89,7 @@ def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0))
     upright = np.array(((-down[1], down[0], 0), (-down[0], -down[1], 0), (0, 0, 1.0)))
     if points is None:
         return bust.vertices
-    rotation = _rotation(bust.network, points)
+    rotation = head_rotation(points)
     turned = bust.points @ rotation.T
     a, b = turned[:, :2] - turned[:, :2].mean(0), points[:, :2] - points[:, :2].mean(0)
     scale = float((a * b).sum() / np.square(a).sum())
@@ -109,9 +109,11 @@ def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0))
     return vertices
 
 
-def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The rotation ``(3, 3)`` that takes ``source (N, 3)`` nearest to ``target (N, 3)``, up to scale and shift (Kabsch 1976)."""
-    a, b = source - source.mean(0), target - target.mean(0)
+def head_rotation(points: np.ndarray) -> np.ndarray:
+    """How a head is turned: the rotation ``(3, 3)`` that takes the network's points of the mean head nearest to a face's dense ``points
+    (468, 3)`` in bust coordinates, up to scale and shift (Kabsch 1976)."""
+    source = mean_bust().network
+    a, b = source - source.mean(0), points - points.mean(0)
     u, _, vt = np.linalg.svd(b.T @ a)
     return u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ vt)))) @ vt
 

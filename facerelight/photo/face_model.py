@@ -58,6 +58,8 @@ class FaceModel:
         crops: ``(3, h, w)`` scene radiance of the photograph's face, and of further photographs of the same person.
         source_light: ``(3,)`` where the first photograph's light is known; None estimates it.
         method: "expected", "map" or "mle", see :class:`facerelight.relighter.StatisticalRelighter`.
+        rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that looks ahead under
+            the lamp turned back, and so the model sees all lights from the head; None: it looks ahead.
 
     Raises:
         ValueError: an unknown method, or too few photographs for it.
@@ -69,12 +71,16 @@ class FaceModel:
         crops: list[Tensor],
         source_light: Tensor | None = None,
         method: Method = "expected",
+        rotation: np.ndarray | None = None,
     ) -> None:
         if method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         self.relighter, self.frame = relighter, crop_frame(relighter)
         self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)
-        own = self._source(self.luminance, self.mask, source_light)
+        self.rotation = np.eye(3) if rotation is None else _relative(rotation, _looks_up(relighter))
+        turn = torch.from_numpy(self.rotation).float()
+        known = None if source_light is None else source_light.reshape(3).to(turn) @ turn
+        own = self._source(self.luminance, self.mask, known)
         sources, mask = [own], self.mask
         for crop in crops[1:]:
             other = face_mask(crop, self.frame)
@@ -82,9 +88,10 @@ class FaceModel:
             mask = torch.minimum(mask, other)
         images, lights = torch.stack([s.equivalent for s in sources]), torch.stack([s.direction for s in sources])
         self._mean, self._variance = self._conditioned(images, lights, mask, method)
-        self.source_light = own.direction
+        self.source_light = turn @ own.direction
         # The new lamp is as strong as keeps the face's brightness when it stands at the camera.
-        at_camera = float((self._mean(CAMERA)[0, 0].clamp_min(0) * self.mask).sum())
+        self.exposure = 1.0
+        at_camera = float((torch.from_numpy(self.radiance(CAMERA.numpy())[0]) * self.mask).sum())
         self.exposure = float((self.luminance * self.mask).sum()) / max(at_camera, 1e-6) or 1.0
         self.light = self._mixture(own.amounts)
 
@@ -97,7 +104,7 @@ class FaceModel:
             )
         count = int(kept.sum())
         weights = (amounts[kept] / self.exposure)[:, None].expand(-1, 3).contiguous()
-        directions = self.relighter.statistics.lights[kept]
+        directions = self.relighter.statistics.lights[kept] @ torch.from_numpy(self.rotation.T).float()
         return LightMixture(
             directions, weights, torch.full((count,), MIXTURE_SIZE), torch.zeros(count, dtype=torch.long)
         )
@@ -145,10 +152,14 @@ class FaceModel:
         return self._mean(lights)[0]
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """The same as arrays, exposed like the photograph and never negative: ``(P, 3)`` to ``(P, h, w)``."""
-        return (
-            self.crops(torch.from_numpy(np.ascontiguousarray(directions, np.float32))).clamp_min(0) * self.exposure
-        ).numpy()
+        """The head as it is turned, exposed like the photograph and never negative: ``directions (P, 3)`` to ``(P, h, w)``.
+
+        Light from behind the head comes from its nearest side.
+        """
+        front = directions.astype(np.float64) @ self.rotation
+        front[:, 2] = np.maximum(front[:, 2], 0)
+        front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
+        return (self.crops(torch.from_numpy(front.astype(np.float32))).clamp_min(0) * self.exposure).numpy()
 
     def std(self, light: Tensor) -> np.ndarray:
         """Standard deviation of :meth:`radiance` under one ``light (3,)``, ``(h, w)``."""
@@ -171,6 +182,18 @@ class FaceModel:
         apart = np.abs(np.log((_blur(luminance, 2) + floor) / (_blur(expected, 2) + floor)))
         agrees = np.clip((1 - apart) / 0.5, 0, 1)
         return _blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
+
+
+def _looks_up(relighter: StatisticalRelighter) -> float:
+    """Degrees by which the heads of the statistics look up, on average."""
+    domain = relighter.statistics.metadata.get("config", {}).get("domain", {})  # type: ignore[attr-defined]
+    return float(domain.get("pitch", 0.0))
+
+
+def _relative(rotation: np.ndarray, looks_up: float) -> np.ndarray:
+    """How a head is turned beside those of the statistics, which look up by some degrees."""
+    s, c = np.sin(np.deg2rad(looks_up)), np.cos(np.deg2rad(looks_up))
+    return rotation @ np.array(((1, 0, 0), (0, c, s), (0, -s, c))).T
 
 
 def _luminance(crop: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ __all__ = ["FaceEvidence", "LightRatio"]
 DARK = 0.02  # of the face's mean radiance: below it ratios level out
 LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
 COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
-EDGES = 1.0  # of the face's fine shading is the bust's
+EDGES = 0.9  # of the face's fine shading is the bust's
 FAINT_FACE, FAINT = 0.005, 0.02  # of the brightest bust shading: below it ratios level out
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
@@ -145,14 +145,11 @@ class LightRatio:
         return face, bust
 
     def _face_light(self, directions: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-        """The face's radiance under one source, ``(H, W, C)``; light from behind comes from its nearest side.
+        """The face's radiance under one source, ``(H, W, C)``.
 
         A lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit face.
         """
-        front = directions.copy()
-        front[:, 2] = np.maximum(front[:, 2], 0)
-        front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
-        radiance = self.face.radiance(front)  # (P, h, w)
+        radiance = self.face.radiance(directions)  # (P, h, w)
         edged = float(np.clip((SOFT - size) / 10, 0, 1))
         if edged:
             share = radiance / self._fully_lit

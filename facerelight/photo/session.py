@@ -20,7 +20,7 @@ from torch import Tensor
 from facerelight.alignment import fit_similarity
 from facerelight.config import default_statistics_folder, quality_config
 from facerelight.lights import angles_from_light, light_from_angles
-from facerelight.photo.bust import fit_bust, make_bust
+from facerelight.photo.bust import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import LUMA, SkinColour, skin_colour, to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.face_model import FaceModel, crop_frame
@@ -176,7 +176,8 @@ class PhotoRelighter:
                 crop,
                 *(self._align(as_rgb(other), _locate(as_rgb(other), None, None).landmarks)[1] for other in more),
             ]
-            self.model = FaceModel(self.relighter, crops, source_light, method)
+            rotation = None if self._points is None else head_rotation(self._points)
+            self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
 
     # -- what is known of the photo -------------------------------------------------------------------------------------
 
@@ -323,6 +324,16 @@ class PhotoRelighter:
         return float(np.clip(gap + LIFT * room, DARKER, BRIGHTER))
 
     @cached_property
+    def _points(self) -> np.ndarray | None:
+        """The face's dense points in bust coordinates, ``(468, 3)``."""
+        points = self.face.points
+        if points is None:
+            return None
+        to_bust = compose(crop_to_bust(self.frame), self._to_crop)
+        unit = np.sqrt(abs(np.linalg.det(to_bust[:, :2])))
+        return np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
+
+    @cached_property
     def _features(self) -> Features:
         return facial_features(self.face.points, self.window)
 
@@ -348,16 +359,11 @@ class PhotoRelighter:
     @cached_property
     def _ratio(self) -> LightRatio:
         """Built at the first render: a gallery asks for aligned faces alone."""
-        cover, points = self._cover, self.face.points
+        cover = self._cover
         with self._log.measure("bust", "neck, hair and clothes follow the light"):
-            placed = None
-            if points is not None:
-                to_bust = compose(crop_to_bust(self.frame), self._to_crop)
-                unit = np.sqrt(abs(np.linalg.det(to_bust[:, :2])))
-                placed = np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
             in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
             down = _down(compose(crop_to_bust(self.frame), self._to_crop))
-            bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(placed, down), down)
+            bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
             trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
             evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
