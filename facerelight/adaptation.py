@@ -18,8 +18,8 @@ from torch import Tensor
 from facerelight.alignment import CANONICAL_LANDMARKS, CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.lights import light_from_angles
-from facerelight.photo.files import find_people, read_photo
-from facerelight.photo.landmarks import find_landmarks
+from facerelight.photo.faces.landmarks import find_landmarks
+from facerelight.photo.files.disk import find_people, read_photo
 from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 
@@ -74,7 +74,9 @@ def _read_aligned(path: Path, frame: CropFrame) -> tuple[Tensor, Tensor]:
             raise ValueError(f"{path}: {error}") from error
     matrix = fit_similarity(landmarks, frame.landmarks)[None]
     grey = kornia.color.rgb_to_grayscale(kornia.color.rgb_to_linear_rgb(coded))
-    inside = warp_to_crop(torch.nn.functional.pad(torch.ones(1, 1, height, width), (1, 1, 1, 1)), _after_padding(matrix), frame)[0, 0]
+    inside = warp_to_crop(
+        torch.nn.functional.pad(torch.ones(1, 1, height, width), (1, 1, 1, 1)), _after_padding(matrix), frame
+    )[0, 0]
     return warp_to_crop(grey, matrix, frame)[0, 0], ((inside > 0.99) & (frame.oval() < OUTLINE)).float()
 
 
@@ -84,7 +86,10 @@ def _after_padding(matrix: Tensor) -> Tensor:
 
 
 def adapt(
-    statistics: FaceStatistics, people: list[Person], estimator: KernelIlluminationEstimator | None = None, prior_heads: float = 2.0
+    statistics: FaceStatistics,
+    people: list[Person],
+    estimator: KernelIlluminationEstimator | None = None,
+    prior_heads: float = 2.0,
 ) -> FaceStatistics:
     """Statistics of the rendered heads and ``people`` together.
 
@@ -102,7 +107,9 @@ def adapt(
         ValueError: nobody to adapt to, or images of another size.
     """
     if statistics.store is None:
-        raise RuntimeError("adapt: these statistics were loaded, and the images they came from are not kept; train with `adapt` instead")
+        raise RuntimeError(
+            "adapt: these statistics were loaded, and the images they came from are not kept; train with `adapt` instead"
+        )
     if not people:
         raise ValueError("adapt: expected one person or more, got none")
     if prior_heads <= 0:
@@ -114,7 +121,9 @@ def adapt(
     mean = torch.stack([images / gain for images, gain in zip(completed, gains, strict=True)]).mean(0)
     heads, count = len(statistics.store), len(people)
     posterior_mean = (prior_heads * rendered_mean + count * mean) / (prior_heads + count)
-    move = ((heads + count) * posterior_mean - count * mean) / heads - rendered_mean  # so that all of them together have that mean
+    move = (
+        (heads + count) * posterior_mean - count * mean
+    ) / heads - rendered_mean  # so that all of them together have that mean
     adapted = FaceStatistics(statistics.lights, statistics.options)
     for array in statistics.store:
         images = torch.from_numpy(array.copy())
@@ -128,7 +137,11 @@ def adapt(
 def _complete(relighter: StatisticalRelighter, person: Person) -> Tensor:
     """A person's image under every bootstrap light, ``(J, H, W)``: the photograph where there is one, else the model's mean."""
     lights = relighter.statistics.lights
-    complete = relighter.condition(person.images[None], person.lights[None], draws=8, mask=person.mask[None]).mean(lights)[0].clamp_min(0)
+    complete = (
+        relighter.condition(person.images[None], person.lights[None], draws=8, mask=person.mask[None])
+        .mean(lights)[0]
+        .clamp_min(0)
+    )
     known = ~person.lights.isnan().any(1)
     for image, light in zip(person.images[known], person.lights[known], strict=True):
         same = (lights - torch.nn.functional.normalize(light, dim=0)).norm(dim=1) < 1e-3

@@ -11,7 +11,15 @@ import kornia.geometry.transform as kt
 import torch
 from torch import Tensor
 
-__all__ = ["CANONICAL_LANDMARKS", "CANONICAL_SIZE", "CropFrame", "fit_similarity", "invert_similarity", "warp_from_crop", "warp_to_crop"]
+__all__ = [
+    "CANONICAL_LANDMARKS",
+    "CANONICAL_SIZE",
+    "CropFrame",
+    "fit_similarity",
+    "invert_similarity",
+    "warp_from_crop",
+    "warp_to_crop",
+]
 
 CANONICAL_SIZE = (192, 168)
 """Height and width of the canonical crop, that of Extended Yale B."""
@@ -81,7 +89,9 @@ def fit_similarity(source: Tensor, target: Tensor) -> Tensor:
         [[2.0, -0.0, 1.0], [0.0, 2.0, 1.0]]
     """
     if source.shape != target.shape or source.shape[-1] != 2 or source.shape[-2] < 2:
-        raise ValueError(f"landmarks: expected two (N, 2) sets with N >= 2, got {tuple(source.shape)} and {tuple(target.shape)}")
+        raise ValueError(
+            f"landmarks: expected two (N, 2) sets with N >= 2, got {tuple(source.shape)} and {tuple(target.shape)}"
+        )
     source, target = source.double(), target.double()
     if not (torch.isfinite(source).all() and torch.isfinite(target).all()):
         raise ValueError("landmarks: expected finite pixel coordinates, got NaN or infinity")
@@ -92,7 +102,9 @@ def fit_similarity(source: Tensor, target: Tensor) -> Tensor:
     if (spread <= 1e-12 * (1 + mean_source.square().sum((-2, -1)))).any():
         raise ValueError("landmarks: expected distinct points, got coincident ones")
     if source.shape[-2] > 2 and (thin < 1e-4 * spread).any():
-        raise ValueError("landmarks: expected three points off one line (two eye centres and the mouth), got collinear ones")
+        raise ValueError(
+            "landmarks: expected three points off one line (two eye centres and the mouth), got collinear ones"
+        )
     # In the plane, a similarity is z -> c z + t with complex c: least squares gives c = sum(conj(a) b) / sum |a|^2.
     real = (a * b).sum((-2, -1)) / spread
     imaginary = (a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]).sum(-1) / spread
@@ -125,10 +137,21 @@ def warp_to_crop(image: Tensor, matrix: Tensor, frame: CropFrame) -> Tensor:
     if factor > 1:  # box-average by a whole factor; what is left shrinks by less than 2
         image = torch.nn.functional.avg_pool2d(image, factor, ceil_mode=False)
         centre = (factor - 1) / 2
-        matrix = torch.cat((matrix[..., :2] * factor, matrix[..., 2:] + matrix[..., :2].sum(-1, keepdim=True) * centre), -1)
-    return kt.warp_affine(image, matrix.to(image), (frame.height, frame.width), mode="bilinear", padding_mode="border", align_corners=True)
+        matrix = torch.cat(
+            (matrix[..., :2] * factor, matrix[..., 2:] + matrix[..., :2].sum(-1, keepdim=True) * centre), -1
+        )
+    return kt.warp_affine(
+        image, matrix.to(image), (frame.height, frame.width), mode="bilinear", padding_mode="border", align_corners=True
+    )
 
 
 def warp_from_crop(crop: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:
     """The way back: ``crop`` ``(B, C, h, w)`` resampled to an image of ``size`` (H, W); zero outside the crop."""
-    return kt.warp_affine(crop, invert_similarity(matrix.double()).to(crop), size, mode="bilinear", padding_mode="zeros", align_corners=True)
+    return kt.warp_affine(
+        crop,
+        invert_similarity(matrix.double()).to(crop),
+        size,
+        mode="bilinear",
+        padding_mode="zeros",
+        align_corners=True,
+    )

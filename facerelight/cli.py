@@ -73,7 +73,7 @@ def _failed(code: int, text: str) -> int:
 
 
 def _is_nothing_found(error: RuntimeError) -> bool:
-    from facerelight.photo.landmarks import LandmarksNotFoundError
+    from facerelight.photo.faces.landmarks import LandmarksNotFoundError
 
     return isinstance(error, LandmarksNotFoundError)
 
@@ -168,7 +168,7 @@ def _relight(argv: list[str]) -> int:
 
 def _recognize(argv: list[str]) -> int:
     arguments = _recognize_parser().parse_args(argv)
-    from facerelight.photo.files import find_people
+    from facerelight.photo.files.disk import find_people
     from facerelight.recognition.gallery import Gallery
     from facerelight.relighter import StatisticalRelighter
 

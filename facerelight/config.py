@@ -93,9 +93,13 @@ class TrainConfig:
 
 DEFAULT_CONFIG = TrainConfig()
 QUALITIES = {
-    "draft": TrainConfig(heads=40, lights=32, height=96, width=84, supersample=1, fit=FitOptions(face_rank=20, basis=12, brightness=True)),
+    "draft": TrainConfig(
+        heads=40, lights=32, height=96, width=84, supersample=1, fit=FitOptions(face_rank=20, basis=12, brightness=True)
+    ),
     "standard": DEFAULT_CONFIG,
-    "reference": TrainConfig(heads=240, lights=100, height=192, width=168, fit=FitOptions(face_rank=80, brightness=True)),
+    "reference": TrainConfig(
+        heads=240, lights=100, height=192, width=168, fit=FitOptions(face_rank=80, brightness=True)
+    ),
 }
 """Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and ``reference.yaml``)."""
 

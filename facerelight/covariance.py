@@ -44,7 +44,9 @@ class LightTerms(NamedTuple):
     lost: Tensor
 
 
-def light_terms(statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None) -> LightTerms:
+def light_terms(
+    statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None
+) -> LightTerms:
     """Gather the terms of ``lights (A, 3)`` for the per-pixel statistics ``pixel`` (with ``face``: its residual's)."""
     weights = statistics.weights(lights)
     used = reached(weights)
@@ -55,7 +57,11 @@ def light_terms(statistics: FaceStatistics, pixel: PixelStatistics, lights: Tens
 
 
 def narrow_terms(
-    statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None, pixels: slice = EVERYWHERE
+    statistics: FaceStatistics,
+    pixel: PixelStatistics,
+    lights: Tensor,
+    face: FaceLoadings | None = None,
+    pixels: slice = EVERYWHERE,
 ) -> tuple[Tensor, Tensor]:
     """``narrow`` and ``lost`` of :func:`light_terms`, ``(A, P)`` each, at some ``pixels``."""
     weights = statistics.weights(lights)

@@ -56,7 +56,9 @@ def choose_face_options(
     least = min(len(images) - len(images[fold::folds]) for fold in range(folds)) - 2
     usable = sorted({min(rank, least) for rank in ranks})
     if usable[0] < 1:
-        raise ValueError(f"images: expected enough people to leave out one of {folds} groups and learn from 3 or more, got {len(images)}")
+        raise ValueError(
+            f"images: expected enough people to leave out one of {folds} groups and learn from 3 or more, got {len(images)}"
+        )
     sources = nearest_lights(torch.stack([light_from_angles(*angles) for angles in SOURCES]), lights).unique().tolist()
     totals: dict[tuple[int, float], list[float]] = {}
     for fold in range(folds):

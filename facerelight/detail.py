@@ -39,7 +39,9 @@ def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
         torch.Size([2, 5, 48, 42])
     """
     if relit.dim() < 3 or photo.shape != (*relit.shape[:-3], *relit.shape[-2:]):
-        raise ValueError(f"photo: expected (..., H, W) for relit (..., Q, H, W), got {tuple(photo.shape)} for {tuple(relit.shape)}")
+        raise ValueError(
+            f"photo: expected (..., H, W) for relit (..., Q, H, W), got {tuple(photo.shape)} for {tuple(relit.shape)}"
+        )
     if not 0 <= strength <= 1:
         raise ValueError(f"strength: expected 0 to 1, got {strength}")
     exchange = _detail(photo).unsqueeze(-3) / _detail(relit)

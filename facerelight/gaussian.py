@@ -74,7 +74,11 @@ def safe_cholesky(matrix: Tensor) -> Tensor:
         nudged = matrix + (jitter * scale * failed)[..., None, None] * eye
         factor, info = torch.linalg.cholesky_ex(nudged)
         if not info.any():
-            warnings.warn(f"{count} of {failed.numel()} covariances needed a relative jitter of {jitter:g}", NumericalWarning, stacklevel=2)
+            warnings.warn(
+                f"{count} of {failed.numel()} covariances needed a relative jitter of {jitter:g}",
+                NumericalWarning,
+                stacklevel=2,
+            )
             return factor
     raise NotPositiveDefiniteError(
         f"covariance: expected positive semidefinite, {int((info != 0).sum())} of {failed.numel()} matrices are not,"
@@ -102,12 +106,16 @@ def positive_variance(variance: Tensor, before: Tensor) -> Tensor:
     below = int((variance < floor).sum())
     if below:
         warnings.warn(
-            f"{below} of {variance.numel()} variances were negative, down to {float(variance.min()):g}", NumericalWarning, stacklevel=2
+            f"{below} of {variance.numel()} variances were negative, down to {float(variance.min()):g}",
+            NumericalWarning,
+            stacklevel=2,
         )
     return variance.clamp_min(0)
 
 
-def condition_gaussian(mean_x: Tensor, mean_y: Tensor, cov_xx: Tensor, cov_xy: Tensor, cov_yy: Tensor, y: Tensor) -> Conditional:
+def condition_gaussian(
+    mean_x: Tensor, mean_y: Tensor, cov_xx: Tensor, cov_xy: Tensor, cov_yy: Tensor, y: Tensor
+) -> Conditional:
     """The Gauss-Markov theorem (eqs. 3.7, 3.8): ``p(x | y)`` of jointly Gaussian x and y.
 
     Args:
@@ -161,9 +169,15 @@ class SequentialConditional:
             variance: ``Var(y_K)``, ``(...)``.
             covariances: ``Cov(y_K, y_j)`` with the earlier observations, in order, ``(..., K - 1)``.
         """
-        row = solve_lower(self._rows, covariances.double()[..., None])[..., 0] if self._rows.shape[-1] else covariances.double()
+        row = (
+            solve_lower(self._rows, covariances.double()[..., None])[..., 0]
+            if self._rows.shape[-1]
+            else covariances.double()
+        )
         gamma = variance.double() - row.square().sum(-1)  # Var(y_K | y_1 .. y_K-1)
-        pivot = gamma.clamp_min(JITTER_STEPS[0] * variance.double().abs()).clamp_min(torch.finfo(torch.float64).tiny).sqrt()
+        pivot = (
+            gamma.clamp_min(JITTER_STEPS[0] * variance.double().abs()).clamp_min(torch.finfo(torch.float64).tiny).sqrt()
+        )
         white = (cross.double() - (row * self._cross).sum(-1)) / pivot
         fresh = (residual.double() - (row * self._white_residuals).sum(-1)) / pivot
         self.mean = self.mean + white * fresh
@@ -175,7 +189,9 @@ class SequentialConditional:
         return self
 
 
-def low_rank_code(design: Tensor, observed: Tensor, temper: float, weight: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def low_rank_code(
+    design: Tensor, observed: Tensor, temper: float, weight: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """Posterior of ``c ~ N(0, I_k)`` from whitened observations ``y = A c + e`` at P pixels, the likelihood tempered by ``1 / temper``.
 
     Args:

@@ -20,7 +20,9 @@ class LightEstimate(NamedTuple):
     direction: Tensor
 
 
-def quasi_normal(count: int, dimensions: int, generator: torch.Generator | None = None, independent: bool = False) -> Tensor:
+def quasi_normal(
+    count: int, dimensions: int, generator: torch.Generator | None = None, independent: bool = False
+) -> Tensor:
     """``count`` standard normal points ``(count, dimensions)``: scrambled Sobol by default, or independent draws.
 
     Quasi-random points fill space evenly, so means over them converge almost as ``1 / count`` instead of ``1 / sqrt(count)``.
@@ -54,7 +56,15 @@ class KernelIlluminationEstimator(nn.Module):
     error_factor: Tensor
     weight: Tensor
 
-    def __init__(self, prototypes: Tensor, prototype_lights: Tensor, widths: Tensor, bias: Tensor, error_factor: Tensor, weight: Tensor) -> None:
+    def __init__(
+        self,
+        prototypes: Tensor,
+        prototype_lights: Tensor,
+        widths: Tensor,
+        bias: Tensor,
+        error_factor: Tensor,
+        weight: Tensor,
+    ) -> None:
         super().__init__()
         for name, tensor in (
             ("prototypes", prototypes),
@@ -109,7 +119,14 @@ class KernelIlluminationEstimator(nn.Module):
             out = person % min(folds, count) == fold
             if out.all() or not out.any():
                 continue
-            trained = cls(points[~out], directions[~out], _widths(points[~out], fraction), torch.zeros(3), torch.zeros(3, 3), weight)
+            trained = cls(
+                points[~out],
+                directions[~out],
+                _widths(points[~out], fraction),
+                torch.zeros(3),
+                torch.zeros(3, 3),
+                weight,
+            )
             errors.append(directions[out] - trained._regress(points[out]))
         error = torch.cat(errors) if errors else torch.zeros(1, 3)
         bias = error.mean(0)
@@ -121,7 +138,9 @@ class KernelIlluminationEstimator(nn.Module):
         if visible is None:
             similarity = points @ self.prototypes.T
         else:
-            length = (points.square() * visible).sum(-1, keepdim=True).sqrt() * (visible @ self.prototypes.square().T).sqrt()
+            length = (points.square() * visible).sum(-1, keepdim=True).sqrt() * (
+                visible @ self.prototypes.square().T
+            ).sqrt()
             similarity = (points * visible) @ self.prototypes.T / length.clamp_min(1e-12)
         squared = (2 - 2 * similarity).clamp_min(0)  # between unit vectors
         mean = kernel_weights(squared, self.widths) @ self.prototype_lights

@@ -65,16 +65,22 @@ class LikelihoodIlluminationEstimator(nn.Module):
             means.append(prior_mean(statistics, light)[0, places])
             stds.append(std.float())
             if statistics.face is not None:
-                white = loadings_at(statistics, statistics.face, light)[0][:, places].T.double() / std[:, None]  # (P, k)
+                white = (
+                    loadings_at(statistics, statistics.face, light)[0][:, places].T.double() / std[:, None]
+                )  # (P, k)
                 temper = max(1.0, CODE_TEMPER * len(places))
-                factors.append(gaussian.safe_cholesky(temper * torch.eye(white.shape[1], dtype=torch.float64) + white.T @ white))
+                factors.append(
+                    gaussian.safe_cholesky(temper * torch.eye(white.shape[1], dtype=torch.float64) + white.T @ white)
+                )
                 rows.append(white.float())
         self.register_buffer("grid", grid)
         self.register_buffer("places", places)
         self.register_buffer("mean", torch.stack(means))
         self.register_buffer("std", torch.stack(stds))
         self.register_buffer("loadings", torch.stack(rows) if rows else torch.zeros(len(grid), len(places), 0))
-        self.register_buffer("factor", torch.stack(factors) if factors else torch.zeros(len(grid), 0, 0, dtype=torch.float64))
+        self.register_buffer(
+            "factor", torch.stack(factors) if factors else torch.zeros(len(grid), 0, 0, dtype=torch.float64)
+        )
         self.register_buffer("temper", torch.tensor(64.0))
 
     def spacing(self) -> float:
@@ -90,7 +96,10 @@ class LikelihoodIlluminationEstimator(nn.Module):
         """
         seen = images.flatten(1)[:, self.places].to(self.mean)
         weight = torch.ones_like(seen) if mask is None else mask.flatten(1)[:, self.places].to(seen)
-        parts = [self._log_likelihood(image, kept) for image, kept in zip(seen.split(IMAGES_AT_ONCE), weight.split(IMAGES_AT_ONCE), strict=True)]
+        parts = [
+            self._log_likelihood(image, kept)
+            for image, kept in zip(seen.split(IMAGES_AT_ONCE), weight.split(IMAGES_AT_ONCE), strict=True)
+        ]
         return torch.cat(parts)
 
     def _log_likelihood(self, seen: Tensor, weight: Tensor) -> Tensor:

@@ -40,7 +40,9 @@ class MaximumLikelihood:
                 f" condition number {condition:.3g}; give more lights or use method='expected'"
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
-        self.factor = gaussian.safe_cholesky(observed(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)))  # (P, K, K)
+        self.factor = gaussian.safe_cholesky(
+            observed(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms))
+        )  # (P, K, K)
         average = statistics.weights(self.lights) @ statistics.v_mean.flatten(1)
         residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
         design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)
@@ -60,7 +62,9 @@ class MaximumLikelihood:
         assert pixel is not None
         target = unit_lights(target)[None]
         terms = light_terms(statistics, pixel, target)
-        cross = gaussian.solve_lower(self.factor, deviation_covariance(statistics, pixel, self.terms, terms))  # L^-1 r, (P, K, 1)
+        cross = gaussian.solve_lower(
+            self.factor, deviation_covariance(statistics, pixel, self.terms, terms)
+        )  # L^-1 r, (P, K, 1)
         average = (statistics.weights(target) @ statistics.v_mean.flatten(1)).double()[0]
         mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
         missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
@@ -70,7 +74,9 @@ class MaximumLikelihood:
 
     def relight(self, targets: Tensor) -> Relit:
         """Mean and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
-        mean, variance = (torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True))
+        mean, variance = (
+            torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True)
+        )
         size = self.statistics.size
         return Relit(mean.unflatten(1, size).to(self.lights), variance.unflatten(1, size).to(self.lights))
 

@@ -61,7 +61,9 @@ class BootstrapViews:
         first: index of the first person (held-out people come after the bootstrap's).
     """
 
-    def __init__(self, config: TrainConfig, cache: str | Path | None = None, floor: float = 2e-3, first: int = 0) -> None:
+    def __init__(
+        self, config: TrainConfig, cache: str | Path | None = None, floor: float = 2e-3, first: int = 0
+    ) -> None:
         upright = replace(config.domain, turn=0.0, misalign=0.0)  # a view says how the head stands
         self.config, self.floor, self.first = replace(config, domain=upright), floor, first
         self.folder = Path(cache) if cache else cache_folder() / "views"
@@ -126,8 +128,15 @@ class ViewRelighter:
             target_view: what to render.
         """
         height, width = self.source.size
-        if images.dim() != 4 or tuple(images.shape[2:]) != (height, width) or not images.shape[1] or len(source_views) != images.shape[1]:
-            raise ValueError(f"images: expected (B, K, {height}, {width}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}")
+        if (
+            images.dim() != 4
+            or tuple(images.shape[2:]) != (height, width)
+            or not images.shape[1]
+            or len(source_views) != images.shape[1]
+        ):
+            raise ValueError(
+                f"images: expected (B, K, {height}, {width}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}"
+            )
         readings: list[list[View]] = [[]]
         for view in source_views:
             readings = [[*r, v] for r in readings for v in ([view] if isinstance(view, View) else view)]
@@ -138,7 +147,12 @@ class ViewRelighter:
         variance = torch.einsum("sb,sbp->bp", weight, variances + (means - mean).square())
         code = torch.einsum("sb,sbk->bk", weight, codes)
         size = (height, width)
-        return ViewRelit(mean.to(images).unflatten(1, size), variance.to(images).unflatten(1, size), code.to(images), weight.T.to(images))
+        return ViewRelit(
+            mean.to(images).unflatten(1, size),
+            variance.to(images).unflatten(1, size),
+            code.to(images),
+            weight.T.to(images),
+        )
 
     def _read(self, images: Tensor, views: Sequence[View], target: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered log evidence ``(B,)``."""

@@ -8,7 +8,15 @@ import torch
 from torch import Tensor
 
 from facerelight import gaussian
-from facerelight.covariance import LightTerms, image_covariance, light_terms, loadings_at, narrow_terms, observed, prior_mean
+from facerelight.covariance import (
+    LightTerms,
+    image_covariance,
+    light_terms,
+    loadings_at,
+    narrow_terms,
+    observed,
+    prior_mean,
+)
 from facerelight.lights import unit_lights
 from facerelight.mixture import mixture_mode
 from facerelight.registration import undeform
@@ -56,7 +64,14 @@ class PersonPosterior:
         mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face code.
     """
 
-    def __init__(self, statistics: FaceStatistics, images: Tensor, hypotheses: Tensor, covariance: str, mask: Tensor | None = None) -> None:
+    def __init__(
+        self,
+        statistics: FaceStatistics,
+        images: Tensor,
+        hypotheses: Tensor,
+        covariance: str,
+        mask: Tensor | None = None,
+    ) -> None:
         self.statistics = statistics
         self.face = statistics.face if covariance == "face" else None
         pixel = statistics.pixel if self.face is None else self.face.residual
@@ -139,7 +154,9 @@ class PersonPosterior:
         evidence = self.evidence[0]
         image = prior_mean(self.statistics, evidence.terms.light)
         if self.face is not None:
-            image = image + self.codes[0][0][:, 0].to(image) @ loadings_at(self.statistics, self.face, evidence.terms.light)
+            image = image + self.codes[0][0][:, 0].to(image) @ loadings_at(
+                self.statistics, self.face, evidence.terms.light
+            )
         return image
 
     def mean(self, targets: Tensor) -> Tensor:
@@ -152,7 +169,9 @@ class PersonPosterior:
         near = [self._near(targets, evidence) for evidence in self.evidence]
         count, pixels = len(targets), maps.shape[1]
         image = maps.new_empty(count, pixels)
-        scratch = maps.new_empty(2, count * min(pixels, PIXELS_AT_ONCE))  # fresh memory for every block would cost as much as the products
+        scratch = maps.new_empty(
+            2, count * min(pixels, PIXELS_AT_ONCE)
+        )  # fresh memory for every block would cost as much as the products
         for start in range(0, pixels, PIXELS_AT_ONCE):
             here = slice(start, min(start + PIXELS_AT_ONCE, pixels))
             block, pull = (buffer[: count * (here.stop - start)].view(count, -1) for buffer in scratch)
@@ -230,7 +249,9 @@ class Posterior:
     ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place.
     """
 
-    def __init__(self, people: list[PersonPosterior], size: tuple[int, int], deformations: Tensor | None = None) -> None:
+    def __init__(
+        self, people: list[PersonPosterior], size: tuple[int, int], deformations: Tensor | None = None
+    ) -> None:
         self.people = people
         self.size = size
         self.deformations = deformations
@@ -257,7 +278,9 @@ class Posterior:
         if first.face is None:
             raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
         zero = torch.zeros(len(first.face.n))
-        return torch.stack([torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people])
+        return torch.stack(
+            [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
+        )
 
     def _render(self, what: str, target_lights: Tensor) -> Tensor:
         reference = self.people[0].n_map
@@ -265,8 +288,12 @@ class Posterior:
         if targets.dim() == 2:
             targets = targets.expand(len(self.people), -1, -1)
         if targets.dim() != 3 or len(targets) != len(self.people):
-            raise ValueError(f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}")
-        images = torch.stack([getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)])
+            raise ValueError(
+                f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}"
+            )
+        images = torch.stack(
+            [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
+        )
         images = images.unflatten(-1, self.size)
         if self.deformations is None:
             return images

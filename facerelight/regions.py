@@ -12,7 +12,15 @@ from facerelight.gaussian import condition_gaussian, positive_variance
 from facerelight.shrinkage import Shrinkage, shrunk_covariance
 from facerelight.views import ViewSource
 
-__all__ = ["GroupRelighter", "GroupRelit", "Region", "correlation_table", "group_by_correlation", "make_regions", "random_groups"]
+__all__ = [
+    "GroupRelighter",
+    "GroupRelit",
+    "Region",
+    "correlation_table",
+    "group_by_correlation",
+    "make_regions",
+    "random_groups",
+]
 
 
 class Region(NamedTuple):
@@ -83,7 +91,9 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
         source = group
         if inputs is not None and inputs != len(group):
             if unit is None or inputs < len(group):
-                raise ValueError(f"inputs: expected at least the group's {len(group)} pixels, and samples to choose more, got {inputs}")
+                raise ValueError(
+                    f"inputs: expected at least the group's {len(group)} pixels, and samples to choose more, got {inputs}"
+                )
             row = (unit.T @ unit[:, int(group[0])]).abs()
             row[group] = -1
             source = torch.cat((group, row.argsort(descending=True, stable=True)[: inputs - len(group)]))
@@ -107,7 +117,12 @@ class GroupRelighter:
     def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
         """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``."""
         size = self.source.size
-        if images.dim() != 4 or tuple(images.shape[2:]) != size or len(source_views) != images.shape[1] or not images.shape[1]:
+        if (
+            images.dim() != 4
+            or tuple(images.shape[2:]) != size
+            or len(source_views) != images.shape[1]
+            or not images.shape[1]
+        ):
             raise ValueError(
                 f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views, got {tuple(images.shape)} and {len(source_views)} views"
             )
@@ -122,7 +137,9 @@ class GroupRelighter:
                 r = outputs.shape[1]
                 y = residual[:, :, inputs].transpose(1, 2).flatten(2)  # (B, T, K r_in), view by view
                 zero = torch.zeros_like(y[0])
-                given = condition_gaussian(zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y)
+                given = condition_gaussian(
+                    zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y
+                )
                 mean[:, outputs] += given.mean
                 before = covariance[:, :r, :r].diagonal(dim1=1, dim2=2)
                 variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2), before)
@@ -134,9 +151,13 @@ class GroupRelighter:
         """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""
         views, people = fields.shape[1:3]
         pixel = torch.cat((outputs, inputs.repeat(1, views - 1)), 1)  # (T, D)
-        view = torch.cat((torch.zeros(outputs.shape[1]), torch.arange(1, views).repeat_interleave(inputs.shape[1]))).long()
+        view = torch.cat(
+            (torch.zeros(outputs.shape[1]), torch.arange(1, views).repeat_interleave(inputs.shape[1]))
+        ).long()
         parts = (part[view[None].expand_as(pixel), :, pixel].mT.double() for part in fields)  # (T, N, D) each
-        covariance = torch.stack([shrunk_covariance(part, self.shrinkage, pixel) for part in parts]).sum(0) * (people / (people - 1))
+        covariance = torch.stack([shrunk_covariance(part, self.shrinkage, pixel) for part in parts]).sum(0) * (
+            people / (people - 1)
+        )
         same = pixel[:, :, None] == pixel[:, None]
         return covariance + torch.where(same, local[view[:, None], view[None], pixel[:, :, None]].double(), 0.0)
 

@@ -37,7 +37,9 @@ def undeform(images: Tensor, theta: Tensor) -> Tensor:
     return _warp(images, _matrix(theta, images.shape[-2:]))
 
 
-def register(images: Tensor, template: Tensor, start: Tensor | None = None, weight: Tensor | None = None, penalty: float = 0.006) -> Tensor:
+def register(
+    images: Tensor, template: Tensor, start: Tensor | None = None, weight: Tensor | None = None, penalty: float = 0.006
+) -> Tensor:
     """The deformation that takes ``template`` to ``images``, ``(M, H, W)`` each, one for all M.
 
     Args:
@@ -110,7 +112,10 @@ def congeal(faces: Tensor, rounds: int = 4) -> Tensor:
         moved = moved / moved.mean((1, 2), keepdim=True).clamp_min(1e-6)
         total = moved.sum(0)
         theta = torch.stack(
-            [register(face[None], (total - own)[None], t if turn else None) for face, own, t in zip(faces, moved, theta, strict=True)],
+            [
+                register(face[None], (total - own)[None], t if turn else None)
+                for face, own, t in zip(faces, moved, theta, strict=True)
+            ],
         )
         theta = theta - theta.mean(0)
     return theta
@@ -129,11 +134,15 @@ def align_people(images: Tensor, lights: Tensor, valid: Tensor | None = None) ->
     """
     there = (torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid) & (lights[:, 2] > NEAR_CAMERA)
     if not there.any(1).all():
-        raise ValueError(f"images: expected one within 32 degrees of the camera for everybody, got none for {int((~there.any(1)).sum())}")
+        raise ValueError(
+            f"images: expected one within 32 degrees of the camera for everybody, got none for {int((~there.any(1)).sum())}"
+        )
     shown = torch.where(there[..., None, None], images, 0.0)
     average = (shown.sum((0, 2, 3)) / there.sum(0).clamp_min(1)).clamp_min(1e-6)  # brightness under each light
     faces = (shown / average[:, None, None]).sum(1) / there.sum(1)[:, None, None]
-    return torch.stack([deform(person, theta).clamp_min(0) for person, theta in zip(images, congeal(faces), strict=True)])
+    return torch.stack(
+        [deform(person, theta).clamp_min(0) for person, theta in zip(images, congeal(faces), strict=True)]
+    )
 
 
 def local_contrast(images: Tensor) -> Tensor:
@@ -146,7 +155,11 @@ def local_contrast(images: Tensor) -> Tensor:
 def _ways(size: tuple[int, int] | torch.Size) -> Tensor:
     """How each of the six moves a place, ``(6, 2, H, W)`` in image widths, about the middle."""
     height, width = size
-    y, x = torch.meshgrid((torch.arange(height) - (height - 1) / 2) / width, (torch.arange(width) - (width - 1) / 2) / width, indexing="ij")
+    y, x = torch.meshgrid(
+        (torch.arange(height) - (height - 1) / 2) / width,
+        (torch.arange(width) - (width - 1) / 2) / width,
+        indexing="ij",
+    )
     one, zero = torch.ones_like(x), torch.zeros_like(x)
     return torch.stack([torch.stack(way) for way in ((one, zero), (zero, one), (x, y), (-y, x), (x, -y), (y, x))])
 
@@ -169,7 +182,12 @@ def _warp(images: Tensor, matrix: Tensor) -> Tensor:
     """kornia's affine warp of ``(..., H, W)``; ``matrix (3, 3)`` from places in ``images`` to places in the result."""
     flat = images.reshape(1, -1, *images.shape[-2:])
     moved = warp_affine(
-        flat, matrix[None, :2].to(flat), (images.shape[-2], images.shape[-1]), mode="bicubic", padding_mode="border", align_corners=True
+        flat,
+        matrix[None, :2].to(flat),
+        (images.shape[-2], images.shape[-1]),
+        mode="bicubic",
+        padding_mode="border",
+        align_corners=True,
     )
     return moved.reshape(images.shape)
 

@@ -41,14 +41,18 @@ class StatisticalRelighter(nn.Module):
         torch.Size([1, 3, 8, 8])
     """
 
-    def __init__(self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: LightEstimator | None = None) -> None:
+    def __init__(
+        self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: LightEstimator | None = None
+    ) -> None:
         super().__init__()
         if covariance not in ("pixel", "face"):
             raise ValueError(f"covariance: expected 'pixel' or 'face', got {covariance!r}")
         if statistics.pixel is None:
             raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
         if covariance == "face" and statistics.face is None:
-            raise ValueError("covariance='face': these statistics have no whole-face loadings; fit them with face_rank > 0")
+            raise ValueError(
+                "covariance='face': these statistics have no whole-face loadings; fit them with face_rank > 0"
+            )
         self.statistics = statistics
         self.covariance = covariance
         self.estimator = estimator
@@ -96,11 +100,15 @@ class StatisticalRelighter(nn.Module):
         if unknown.any():
             finder = estimator or self.estimator
             if finder is None:
-                raise RuntimeError("source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`")
+                raise RuntimeError(
+                    "source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`"
+                )
             if draws < 1:
                 raise ValueError(f"draws: expected at least 1, got {draws}")
             drawn = finder.sample(images, draws, generator, mask=mask)
-            hypotheses = torch.where(unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses)
+            hypotheses = torch.where(
+                unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses
+            )
         deformations = None
         if register:
             found = [
@@ -108,7 +116,11 @@ class StatisticalRelighter(nn.Module):
                 for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
             ]
             images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
-            mask = None if mask is None else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
+            mask = (
+                None
+                if mask is None
+                else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
+            )
             deformations = torch.stack(found)
         people = [
             PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
@@ -163,7 +175,9 @@ class StatisticalRelighter(nn.Module):
     def _fixed_normal(self, images: Tensor, targets: Tensor, lights: Tensor | None) -> Relit:
         """The special case of 3.5.1, person by person."""
         if lights is None or bool(lights.isnan().any()):
-            raise ValueError("method='mle': expected all source lights to be known; give `source_lights` or use method='expected'")
+            raise ValueError(
+                "method='mle': expected all source lights to be known; give `source_lights` or use method='expected'"
+            )
         lights, targets = lights.to(images), targets.to(images)
         people = [
             MaximumLikelihood(self.statistics, person, lights if lights.dim() == 2 else lights[index]).relight(
@@ -180,7 +194,9 @@ class StatisticalRelighter(nn.Module):
                 f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)}; align photos with facerelight.alignment first"
             )
         if not images.is_floating_point():
-            raise ValueError(f"images: expected floating linear radiance in 0..1, got {images.dtype}; divide by 255 and decode sRGB first")
+            raise ValueError(
+                f"images: expected floating linear radiance in 0..1, got {images.dtype}; divide by 255 and decode sRGB first"
+            )
         if not torch.isfinite(images).all():
             raise ValueError("images: expected finite radiance, got NaN or infinity")
         if images.numel() and float(images.abs().max()) > 20:
@@ -218,5 +234,7 @@ class StatisticalRelighter(nn.Module):
             try:
                 estimator = KernelIlluminationEstimator(**load_file(path))
             except (OSError, SafetensorError, TypeError, ValueError) as error:
-                raise ValueError(f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`") from error
+                raise ValueError(
+                    f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
+                ) from error
         return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator)

@@ -21,7 +21,9 @@ __all__ = ["LUMINANCE", "Lamp", "LightMixture", "fill_light", "scene_light"]
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Luminance of linear sRGB (Rec. 709)."""
 FILL_POINTS = 24
-FILL_STRENGTH = 1.9  # a dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
+FILL_STRENGTH = (
+    1.9  # a dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
+)
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 
@@ -96,7 +98,12 @@ class Lamp:
         colour = torch.tensor(self.colour, dtype=torch.float64)
         colour = colour / (colour @ torch.tensor(LUMINANCE, dtype=torch.float64))
         weights = (self.power / count * colour).expand(count, 3)
-        return LightMixture(points.float(), weights.float(), torch.full((count,), float(self.size)), torch.zeros(count, dtype=torch.long))
+        return LightMixture(
+            points.float(),
+            weights.float(),
+            torch.full((count,), float(self.size)),
+            torch.zeros(count, dtype=torch.long),
+        )
 
 
 def fill_light(strength: float) -> LightMixture:
@@ -104,7 +111,9 @@ def fill_light(strength: float) -> LightMixture:
     directions = even_hemisphere(FILL_POINTS)
     share = 0.6 + 0.4 * directions[:, 1]
     weights = (strength * FILL_STRENGTH * share / share.sum())[:, None].expand(-1, 3)
-    return LightMixture(directions, weights, torch.full((FILL_POINTS,), 20.0), torch.zeros(FILL_POINTS, dtype=torch.long))
+    return LightMixture(
+        directions, weights, torch.full((FILL_POINTS,), 20.0), torch.zeros(FILL_POINTS, dtype=torch.long)
+    )
 
 
 def scene_light(sources: Sequence[Lamp | LightMixture], fill: float = 0.0) -> LightMixture:

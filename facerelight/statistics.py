@@ -114,7 +114,9 @@ class FaceLoadings(nn.Module):
     v_power: Tensor
     temper: Tensor
 
-    def __init__(self, n: Tensor, v: Tensor, basis: Tensor, v_power: Tensor, temper: Tensor, residual: PixelStatistics) -> None:
+    def __init__(
+        self, n: Tensor, v: Tensor, basis: Tensor, v_power: Tensor, temper: Tensor, residual: PixelStatistics
+    ) -> None:
         super().__init__()
         for name, tensor in (("n", n), ("v", v), ("basis", basis), ("v_power", v_power), ("temper", temper)):
             self.register_buffer(name, tensor)
@@ -151,7 +153,9 @@ class FaceStatistics(nn.Module):
         self.metadata: dict[str, object] = {}
         distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:
-            raise ValueError(f"lights: expected at least 3 linearly independent directions, got {len(distinct)} that are not")
+            raise ValueError(
+                f"lights: expected at least 3 linearly independent directions, got {len(distinct)} that are not"
+            )
         self.register_buffer("lights", distinct)
         self.register_buffer("light_widths", torch.ones(len(distinct)))
         self.register_buffer("nugget_width", torch.tensor(1.0))
@@ -197,14 +201,20 @@ class FaceStatistics(nn.Module):
     def update(self, images: Tensor, valid: Tensor | None = None, subject: int | None = None) -> FaceStatistics:
         """Add one subject's ``images (J, H, W)``, ``valid (J,)`` saying which exist; takes effect at the next :meth:`solve`."""
         if self.store is None:
-            raise RuntimeError("update: these statistics were loaded, and the images they came from are not kept; fit anew")
+            raise RuntimeError(
+                "update: these statistics were loaded, and the images they came from are not kept; fit anew"
+            )
         if images.dim() != 3 or len(images) != len(self._light_index):
-            raise ValueError(f"images: expected ({len(self._light_index)}, H, W), one image a light, got {tuple(images.shape)}")
+            raise ValueError(
+                f"images: expected ({len(self._light_index)}, H, W), one image a light, got {tuple(images.shape)}"
+            )
         kept = torch.ones(len(images), dtype=torch.bool) if valid is None else valid.cpu()
         if not torch.isfinite(images[kept]).all():
             raise ValueError("images: expected finite radiance, got NaN or infinity; mark missing images in `valid`")
         if images[kept].numel() and float(images[kept].abs().max()) > 20:
-            raise ValueError(f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g}; divide by 255?")
+            raise ValueError(
+                f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g}; divide by 255?"
+            )
         merged = torch.full((len(self.lights), *images.shape[1:]), float("nan"))
         for light in range(len(self.lights)):
             same = kept & (self._light_index == light)
@@ -218,7 +228,9 @@ class FaceStatistics(nn.Module):
         if self.store is None or other.store is None:
             raise RuntimeError("merge: expected statistics that still keep their images; loaded ones do not")
         if self.lights.shape != other.lights.shape or not torch.allclose(self.lights, other.lights, atol=1e-5):
-            raise ValueError(f"merge: expected the same lights, got {len(self.lights)} and {len(other.lights)} that differ")
+            raise ValueError(
+                f"merge: expected the same lights, got {len(self.lights)} and {len(other.lights)} that differ"
+            )
         for array in other.store:
             self.store.add(torch.from_numpy(array.copy()))
         return self
@@ -226,7 +238,9 @@ class FaceStatistics(nn.Module):
     def solve(self) -> FaceStatistics:
         """Learn every statistic from the subjects added so far."""
         if self.store is None or len(self.store) < 2:
-            raise ValueError(f"statistics: expected at least 2 subjects, got {0 if self.store is None else len(self.store)}")
+            raise ValueError(
+                f"statistics: expected at least 2 subjects, got {0 if self.store is None else len(self.store)}"
+            )
         shapes = {array.shape for array in self.store}
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
@@ -246,9 +260,13 @@ class FaceStatistics(nn.Module):
         pixels = height * width
         maps: dict[str, Tensor] = {}
         for start in range(0, pixels, step):
-            block = self._learn_block(self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis)
+            block = self._learn_block(
+                self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis
+            )
             for name, values in block.items():
-                if name not in maps:  # one allocation each: small ones kept between large ones would tear the heap apart
+                if (
+                    name not in maps
+                ):  # one allocation each: small ones kept between large ones would tear the heap apart
                     maps[name] = values.new_empty(*values.shape[:-1], pixels)
                 maps[name][..., start : start + values.shape[-1]] = values
         maps = {name: values.unflatten(-1, (height, width)) for name, values in maps.items()}
@@ -353,7 +371,9 @@ class FaceStatistics(nn.Module):
             options = header.pop("options")
             statistics = cls(tensors["lights"], FitOptions(**options))  # type: ignore[arg-type]
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path}: expected the options and lights of a fit, got {error}; train anew with `facerelight train`") from error
+            raise ValueError(
+                f"{path}: expected the options and lights of a fit, got {error}; train anew with `facerelight train`"
+            ) from error
         statistics.store, statistics.metadata = None, header
 
         def pixel(prefix: str) -> PixelStatistics:

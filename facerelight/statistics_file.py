@@ -42,7 +42,11 @@ def write_tensors(path: str | Path, tensors: dict[str, Tensor], notes: dict[str,
     path = Path(path)
     header = {"format": FORMAT, "version": FORMAT_VERSION, **notes}
     partial = path.with_name(path.name + ".part")
-    save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, partial, metadata={"facerelight": json.dumps(header)})
+    save_file(
+        {name: tensor.contiguous() for name, tensor in tensors.items()},
+        partial,
+        metadata={"facerelight": json.dumps(header)},
+    )
     partial.replace(path)
 
 
@@ -58,20 +62,30 @@ def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]
             header = json.loads((file.metadata() or {}).get("facerelight", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
-        raise ValueError(f"{path}: expected a statistics file (safetensors), got {error}; train one with `facerelight train`") from error
+        raise ValueError(
+            f"{path}: expected a statistics file (safetensors), got {error}; train one with `facerelight train`"
+        ) from error
     found = (header.pop("format", None), header.pop("version", None)) if isinstance(header, dict) else (None, None)
     if found != (FORMAT, FORMAT_VERSION):
-        raise ValueError(f"{path}: expected statistics of version {FORMAT_VERSION}, got {found[0]} {found[1]}; train anew")
+        raise ValueError(
+            f"{path}: expected statistics of version {FORMAT_VERSION}, got {found[0]} {found[1]}; train anew"
+        )
     sizes: dict[str, int] = {"3": 3}
     for name, shape in {**LAYOUT, **(FACE_LAYOUT if any(name.startswith("face.") for name in tensors) else {})}.items():
         letters = shape.split()
         if name not in tensors:
             raise ValueError(f"{path}: expected a tensor {name}, found none; train anew")
         got = tuple(tensors[name].shape)
-        fits = len(got) == len(letters) and all(sizes.setdefault(letter, size) == size for letter, size in zip(letters, got, strict=True))
+        fits = len(got) == len(letters) and all(
+            sizes.setdefault(letter, size) == size for letter, size in zip(letters, got, strict=True)
+        )
         if not fits or not torch.is_floating_point(tensors[name]):
-            wanted = ", ".join(f"{letter} = {sizes[letter]}" if letter in sizes and letter != "3" else letter for letter in letters)
-            raise ValueError(f"{path}: expected {name} of shape ({wanted}), got {tensors[name].dtype} {got}; train anew")
+            wanted = ", ".join(
+                f"{letter} = {sizes[letter]}" if letter in sizes and letter != "3" else letter for letter in letters
+            )
+            raise ValueError(
+                f"{path}: expected {name} of shape ({wanted}), got {tensors[name].dtype} {got}; train anew"
+            )
         if not torch.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: expected finite statistics, got NaN or infinity in {name}; train anew")
     return tensors, header

@@ -66,12 +66,16 @@ def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
     count, light_count = len(store), len(lights)
     missing = torch.stack([torch.from_numpy(array[:, 0, 0].copy()).isnan() for array in store])
     if missing.all(0).any():
-        raise ValueError(f"images: expected every light to have one at least, got none for {int(missing.all(0).sum())} lights")
+        raise ValueError(
+            f"images: expected every light to have one at least, got none for {int(missing.all(0).sum())} lights"
+        )
     by_light = bool(missing.any())  # filling in needs every light's own; without it memory must not grow with J N^2
     subjects = torch.zeros(light_count if by_light else 1, count, count, dtype=torch.float64)
     deviation = torch.zeros(light_count, light_count, dtype=torch.float64)
     mean_part = torch.zeros_like(deviation)
-    off_lambert = (torch.eye(light_count, dtype=torch.float64) - lights.double() @ torch.linalg.pinv(lights.double())).float()
+    off_lambert = (
+        torch.eye(light_count, dtype=torch.float64) - lights.double() @ torch.linalg.pinv(lights.double())
+    ).float()
     present = (~missing).float()
     for start in range(0, pixels, block):
         images = store.block(start, min(start + block, pixels)).nan_to_num(0.0)

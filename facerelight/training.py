@@ -45,7 +45,9 @@ def make_dataset(
 
     source: HeadSource
     if expression and config.source != "makehuman":
-        raise ValueError(f"expression: expected source 'makehuman', whose heads have expressions, got {config.source!r}")
+        raise ValueError(
+            f"expression: expected source 'makehuman', whose heads have expressions, got {config.source!r}"
+        )
     if config.source == "makehuman":
         source = MakeHumanHeads(config.seed, expression=expression)
     elif Path(config.source).is_dir():
@@ -55,13 +57,21 @@ def make_dataset(
     elif config.source.endswith(".npz"):
         source = IctHeads(config.source, config.seed)
     else:
-        raise ValueError(f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}")
+        raise ValueError(
+            f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}"
+        )
     seen = config.directions() if lights is None else lights
-    return BootstrapDataset(source, config.heads, seen, config.frame, config.domain, config.seed, config.effects, config.supersample, pose)
+    return BootstrapDataset(
+        source, config.heads, seen, config.frame, config.domain, config.seed, config.effects, config.supersample, pose
+    )
 
 
 def train(
-    config: TrainConfig, folder: str | Path, workers: int = 2, keep_images: bool = False, adapt_to: str | Path | None = None
+    config: TrainConfig,
+    folder: str | Path,
+    workers: int = 2,
+    keep_images: bool = False,
+    adapt_to: str | Path | None = None,
 ) -> dict[str, object]:
     """Render the bootstrap, learn the statistics and the light estimator, and save them into ``folder``.
 
@@ -79,7 +89,9 @@ def train(
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
     """
     folder = Path(folder)
-    people = read_people(adapt_to, config.frame) if adapt_to else []  # first, so that a bad photo is known before the rendering
+    people = (
+        read_people(adapt_to, config.frame) if adapt_to else []
+    )  # first, so that a bad photo is known before the rendering
     rank, processes = _join_processes()
     if rank == 0:
         _start_images(folder, config)
@@ -120,7 +132,11 @@ def train(
     if people:
         print(f"adapting them to {len(people)} people", file=sys.stderr)
         statistics = adapt(statistics, people, estimator)
-    statistics.metadata |= {"config": asdict(config), "source": f"rendered heads ({config.source})", "radiance": "linear"}
+    statistics.metadata |= {
+        "config": asdict(config),
+        "source": f"rendered heads ({config.source})",
+        "radiance": "linear",
+    }
     StatisticalRelighter(statistics, estimator=estimator).save_pretrained(folder)
     if not keep_images:
         shutil.rmtree(folder / "images")

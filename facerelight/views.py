@@ -62,7 +62,9 @@ class LightViews:
         length = deviation.square().sum(0).sqrt()  # (J, P)
         dof, floor = len(n) - 1, statistics.options.floor
         self._std = (length / dof**0.5).clamp_min(floor)
-        self._unit = torch.where(length > floor * dof**0.5, deviation / length.clamp_min(1e-30), torch.zeros_like(deviation))
+        self._unit = torch.where(
+            length > floor * dof**0.5, deviation / length.clamp_min(1e-30), torch.zeros_like(deviation)
+        )
 
     @property
     def size(self) -> tuple[int, int]:

@@ -15,11 +15,15 @@ __all__ = ["contact_sheet", "needle_map"]
 matplotlib.rcParams["figure.dpi"] = 110
 
 
-def contact_sheet(images: Sequence[Sequence[np.ndarray]], titles: Sequence[Sequence[str]], path: str | Path, height: float = 1.9) -> None:
+def contact_sheet(
+    images: Sequence[Sequence[np.ndarray]], titles: Sequence[Sequence[str]], path: str | Path, height: float = 1.9
+) -> None:
     """Rows of pictures ``(H, W, 3)`` or grey ``(H, W)`` in 0..255 or 0..1, each under its title, written to ``path``."""
     rows, columns = len(images), max(len(row) for row in images)
     first = images[0][0]
-    figure = Figure(figsize=(columns * height * first.shape[1] / first.shape[0], rows * (height + 0.25)), layout="constrained")
+    figure = Figure(
+        figsize=(columns * height * first.shape[1] / first.shape[0], rows * (height + 0.25)), layout="constrained"
+    )
     axes = figure.subplots(rows, columns, squeeze=False)
     for row, names, line in zip(images, titles, axes, strict=True):
         for axis in line:

@@ -38,7 +38,9 @@ MOTION = 0.3  # pixels by which a head moves between lights, standard deviation
 
 def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
     """Rows: what is added, the domain, and the paint that is still left out."""
-    plain = replace(found, tone_low=0.5, tone_high=0.5, specular=0.0, fill=0.0, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
+    plain = replace(
+        found, tone_low=0.5, tone_high=0.5, specular=0.0, fill=0.0, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0
+    )
     rows, bare = [("flat skin, black shadows", plain, dict(BARE))], dict(BARE)
 
     def add(name: str, **settings: float) -> None:
@@ -74,7 +76,9 @@ def shaken(images: torch.Tensor) -> torch.Tensor:
     shift = MOTION * torch.randn(count * lights, 2, generator=generator) * torch.tensor((2 / width, 2 / height))
     matrix = torch.cat((torch.eye(2).expand(len(shift), 2, 2), shift[..., None]), -1)
     grid = torch.nn.functional.affine_grid(matrix, [len(shift), 1, height, width], align_corners=False)
-    moved = torch.nn.functional.grid_sample(images.flatten(0, 1)[:, None], grid, padding_mode="border", align_corners=False)
+    moved = torch.nn.functional.grid_sample(
+        images.flatten(0, 1)[:, None], grid, padding_mode="border", align_corners=False
+    )
     return moved[:, 0].view_as(images)
 
 

@@ -54,7 +54,9 @@ FIELDS = [
 SOURCES = torch.stack((light_from_angles(0.0, 0.0), light_from_angles(70.0, 0.0)))
 MORE_INPUTS = (5, 17, 40)  # further lights, for rows with several inputs
 
-Relight = Callable[[torch.Tensor, int], torch.Tensor]  # all images of a person (J, H, W) and the source's index -> targets (Q, H, W)
+Relight = Callable[
+    [torch.Tensor, int], torch.Tensor
+]  # all images of a person (J, H, W) and the source's index -> targets (Q, H, W)
 Maker = Callable[["World"], tuple[Relight, FaceStatistics]]
 
 
@@ -76,7 +78,9 @@ class World:
         self.targets = nearest_lights(even_hemisphere(12), lights)
 
     def fit(self, options: FitOptions, heads: int | None = None, every: int = 1) -> FaceStatistics:
-        return FaceStatistics.fit(self.images[:heads, ::every], self.lights[::every], self.valid[:heads, ::every], options)
+        return FaceStatistics.fit(
+            self.images[:heads, ::every], self.lights[::every], self.valid[:heads, ::every], options
+        )
 
     def relit(self, relight: Relight, people: int | None = None) -> list[list[torch.Tensor]]:
         """By source and person, ``(12, H, W)``."""
@@ -101,7 +105,9 @@ def rmse(a: torch.Tensor, b: torch.Tensor) -> float:
 
 def rendered_world(heads: int, people: int, height: int, width: int) -> World:
     lights = torch.cat((SOURCES, even_hemisphere(12)[1:], even_hemisphere(DEFAULT_CONFIG.directions().shape[0])[1:]))
-    dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights)
+    dataset = make_dataset(
+        TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights
+    )
     images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
     there = torch.ones(images.shape[:2], dtype=torch.bool)
     return World(images[:heads], lights, there[:heads], images[heads:], there[heads:])
@@ -128,13 +134,17 @@ class Bench:
         reference, _ = by_model(replace(DEFAULT_CONFIG.fit, face_rank=80, basis=48))(heads)
         self.reference = heads.relit(reference)
 
-    def add(self, knob: str, value: object, default: bool, make: Maker, people: int | None = None, yale: bool = True) -> None:
+    def add(
+        self, knob: str, value: object, default: bool, make: Maker, people: int | None = None, yale: bool = True
+    ) -> None:
         """Measure one setting."""
         heads = self.worlds["heads"]
         relight, learned = make(heads)
         made = heads.relit(relight, people)
         errors = heads.errors(made)
-        distance = statistics.mean(rmse(a, b) for x, y in zip(made, self.reference, strict=True) for a, b in zip(x, y, strict=False))
+        distance = statistics.mean(
+            rmse(a, b) for x, y in zip(made, self.reference, strict=True) for a, b in zip(x, y, strict=False)
+        )
         person, times = heads.strangers[0], []
         for _ in range(self.repeats):
             started = time.perf_counter()
@@ -154,7 +164,9 @@ class Bench:
             "ratio": round(statistics.median(t / r for t, r in times), 1),
             "peak_mb": round(peak_memory_mb(lambda: relight(person, heads.sources[1])), 1),
             "people": len(heads.strangers[:people]),
-            "statistics_mb": round(sum(buffer.numel() * buffer.element_size() for buffer in learned.buffers()) / 1e6, 1),
+            "statistics_mb": round(
+                sum(buffer.numel() * buffer.element_size() for buffer in learned.buffers()) / 1e6, 1
+            ),
         }
         if yale and "yale" in self.worlds:
             world = self.worlds["yale"]
@@ -211,7 +223,9 @@ def by_estimate(finder: str, draws: int, how: str = "mean", independent: bool = 
         def relight(person: torch.Tensor, source: int) -> torch.Tensor:
             image = person[None, source : source + 1]
             generator = torch.Generator().manual_seed(0)
-            posterior = relighter.condition(image, estimator.sample(image, draws, generator, independent), register=world.register)
+            posterior = relighter.condition(
+                image, estimator.sample(image, draws, generator, independent), register=world.register
+            )
             if how == "mean":
                 return posterior.mean(targets)[0]
             if how == "exact":
@@ -251,7 +265,10 @@ def by_resolution(scale: float) -> Maker:
         small = (round(size[0] * scale), round(size[1] * scale))
         coarse = torch.nn.functional.interpolate(world.images, small, mode="area")
         learned = FaceStatistics.fit(
-            coarse, world.lights, world.valid, replace(DEFAULT_CONFIG.fit, temper=max(1.0, DEFAULT_CONFIG.fit.temper * scale**2))
+            coarse,
+            world.lights,
+            world.valid,
+            replace(DEFAULT_CONFIG.fit, temper=max(1.0, DEFAULT_CONFIG.fit.temper * scale**2)),
         )
         relighter = StatisticalRelighter(learned, "face")
 
@@ -275,7 +292,13 @@ def relighting(bench: Bench, quick: bool) -> None:
         return
     heads = len(bench.worlds["heads"].images)
     for rank in (5, 10, 20, 40, 80):
-        bench.add("whole-face rank", rank, rank == default.face_rank, by_model(replace(default, face_rank=rank)), yale=rank <= 20)
+        bench.add(
+            "whole-face rank",
+            rank,
+            rank == default.face_rank,
+            by_model(replace(default, face_rank=rank)),
+            yale=rank <= 20,
+        )
     for rank in (4, 8, 12, 24):
         bench.add("correlation rank", rank, rank == default.rank, by_model(replace(default, rank=rank)))
     for basis in (8, 16, 24, 48):
@@ -285,10 +308,22 @@ def relighting(bench: Bench, quick: bool) -> None:
     for count in (20, 40, 80, heads):
         bench.add("heads", count, count == DEFAULT_CONFIG.heads, by_model(default, heads=count), yale=False)
     for every in (4, 2, 1):
-        bench.add("lights", -(-len(bench.worlds["heads"].lights) // every), every == 1, by_model(default, every=every), yale=False)
+        bench.add(
+            "lights",
+            -(-len(bench.worlds["heads"].lights) // every),
+            every == 1,
+            by_model(default, every=every),
+            yale=False,
+        )
     for name, config in QUALITIES.items():  # at one resolution; their own are 96 x 84, 128 x 112 and 192 x 168
         every = max(1, 64 // config.directions().shape[0])
-        bench.add("quality", name, name == "standard", by_model(config.fit, heads=min(config.heads, heads), every=every), yale=False)
+        bench.add(
+            "quality",
+            name,
+            name == "standard",
+            by_model(config.fit, heads=min(config.heads, heads), every=every),
+            yale=False,
+        )
     for scale in (0.25, 0.5, 0.75, 1.0):
         bench.add("resolution", f"{scale:g} of 96 x 84", False, by_resolution(scale))
     bench.add("unknown gain", "yes", True, by_model(default))
@@ -309,11 +344,37 @@ def relighting(bench: Bench, quick: bool) -> None:
             yale=False,
         )
     for draws in (1, 8, 32, 128):
-        bench.add("light unknown", f"likelihood, {draws} draws", draws == 32, by_estimate("likelihood", draws), people=4, yale=draws == 8)
-    bench.add("light unknown", "likelihood, 32 independent draws", False, by_estimate("likelihood", 32, independent=True), people=4, yale=False)
-    bench.add("light unknown", "most probable image, exact, 32 draws", False, by_estimate("likelihood", 32, "exact"), people=2, yale=False)
+        bench.add(
+            "light unknown",
+            f"likelihood, {draws} draws",
+            draws == 32,
+            by_estimate("likelihood", draws),
+            people=4,
+            yale=draws == 8,
+        )
     bench.add(
-        "light unknown", "most probable image, histogram, 32 draws", False, by_estimate("likelihood", 32, "histogram"), people=2, yale=False
+        "light unknown",
+        "likelihood, 32 independent draws",
+        False,
+        by_estimate("likelihood", 32, independent=True),
+        people=4,
+        yale=False,
+    )
+    bench.add(
+        "light unknown",
+        "most probable image, exact, 32 draws",
+        False,
+        by_estimate("likelihood", 32, "exact"),
+        people=2,
+        yale=False,
+    )
+    bench.add(
+        "light unknown",
+        "most probable image, histogram, 32 draws",
+        False,
+        by_estimate("likelihood", 32, "histogram"),
+        people=2,
+        yale=False,
     )
 
 
@@ -331,13 +392,22 @@ def plot(axis, rows: list[dict], error: str, cost: str, labels: tuple[str, str])
     """Error against cost, a line a knob, with the Pareto frontier and the defaults."""
     for index, knob in enumerate(dict.fromkeys(row["knob"] for row in rows)):
         points = [row for row in rows if row["knob"] == knob]
-        axis.plot([p[cost] for p in points], [p[error] for p in points], ".-", color=f"C{index % 10}", label=knob, linewidth=0.7)
+        axis.plot(
+            [p[cost] for p in points],
+            [p[error] for p in points],
+            ".-",
+            color=f"C{index % 10}",
+            label=knob,
+            linewidth=0.7,
+        )
     best, frontier = float("inf"), []
     for row in sorted(rows, key=lambda row: (row[cost], row[error])):
         if row[error] < best:
             best = row[error]
             frontier.append(row)
-    axis.step([f[cost] for f in frontier], [f[error] for f in frontier], "k", where="post", linewidth=0.8, label="frontier")
+    axis.step(
+        [f[cost] for f in frontier], [f[error] for f in frontier], "k", where="post", linewidth=0.8, label="frontier"
+    )
     axis.plot(rows[0][cost], rows[0][error], "k*", markersize=12, label="default")
     axis.set_xscale("log")
     axis.set_xlabel(labels[0])
@@ -356,12 +426,20 @@ def write(tables: dict[str, list[dict]], folder: Path) -> None:
         (folder / f"{name}.md").write_text(table(rows))
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    everybody = tables["relighting"][0]["people"]  # slow settings are measured on fewer, and cannot be compared in a plot
+    everybody = tables["relighting"][0][
+        "people"
+    ]  # slow settings are measured on fewer, and cannot be compared in a plot
     one_input = [row for row in tables["relighting"] if row["knob"] != "input images" and row["people"] == everybody]
     plot(
-        left, one_input, "rmse_side", "milliseconds", ("milliseconds for one image and twelve lights", "RMSE from a side-lit input, grey levels")
+        left,
+        one_input,
+        "rmse_side",
+        "milliseconds",
+        ("milliseconds for one image and twelve lights", "RMSE from a side-lit input, grey levels"),
     )
-    plot(right, tables["recognition"], "error", "enrol_ms", ("milliseconds to enrol a person", "rank-1 errors, percent"))
+    plot(
+        right, tables["recognition"], "error", "enrol_ms", ("milliseconds to enrol a person", "rank-1 errors, percent")
+    )
     figure.savefig(folder / "trade_off.png", dpi=110)
 
 

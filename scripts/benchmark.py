@@ -36,7 +36,11 @@ def paired(ours: Callable[[], object], bare: Callable[[], object], repeats: int 
         b = time.perf_counter()
         bare()
         times.append((b - a, time.perf_counter() - b))
-    return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times), statistics.median(t[0] / t[1] for t in times)
+    return (
+        statistics.median(t[0] for t in times),
+        statistics.median(t[1] for t in times),
+        statistics.median(t[0] / t[1] for t in times),
+    )
 
 
 def seconds(code: str, repeats: int = 5) -> float:
@@ -49,7 +53,9 @@ def seconds(code: str, repeats: int = 5) -> float:
     return min(taken)
 
 
-def made_statistics(people: int = 48, lights: int = 101, size: int = 100) -> tuple[FaceStatistics, torch.Tensor, torch.Tensor]:
+def made_statistics(
+    people: int = 48, lights: int = 101, size: int = 100
+) -> tuple[FaceStatistics, torch.Tensor, torch.Tensor]:
     """Statistics of smooth random faces: their values do not matter for the time."""
     directions = even_hemisphere(lights)
     generator = torch.Generator().manual_seed(0)
@@ -71,7 +77,9 @@ def measure() -> dict[str, float]:
         results[f"condition_render_one_{name}_seconds"] = paired(
             lambda r=relighter: r.condition(person, lights[40:41]).mean(targets[:1]), lambda: None
         )[0]
-    results["face_over_pixel"] = results["condition_render_one_face_seconds"] / results["condition_render_one_pixel_seconds"]
+    results["face_over_pixel"] = (
+        results["condition_render_one_face_seconds"] / results["condition_render_one_pixel_seconds"]
+    )
     maps = [torch.rand(101, 10_000) for _ in range(3)]
     n_map, weights = torch.rand(3, 10_000), learned.weights(targets)
 
@@ -82,7 +90,11 @@ def measure() -> dict[str, float]:
     for name, suffix in (("face", "_face"), ("pixel", "")):
         posterior = StatisticalRelighter(learned, name).condition(person, lights[40:41])
         mine, bare, ratio = paired(lambda p=posterior: p.mean(targets), four_products)
-        results |= {f"render_900{suffix}_seconds": mine, f"render_900{suffix}_over_gemm": ratio, "gemm_900_seconds": bare}
+        results |= {
+            f"render_900{suffix}_seconds": mine,
+            f"render_900{suffix}_over_gemm": ratio,
+            "gemm_900_seconds": bare,
+        }
     results["variance_of_one_light_seconds"] = paired(lambda: posterior.variance(targets[:1]), lambda: None)[0]
     prototypes = torch.nn.functional.normalize(torch.rand(10_000, 24 * 21), dim=1)
     directions = torch.nn.functional.normalize(torch.randn(10_000, 3), dim=1)
@@ -97,8 +109,12 @@ def measure() -> dict[str, float]:
     results["estimate_over_thumbnail_gemm"] = paired(lambda: estimator(person), lambda: thumbnail @ prototypes.T, 25)[2]
     results |= photo(learned) | recognition()
     deps = seconds("import torch, kornia, cv2, PIL.Image, safetensors")
-    results["import_seconds_over_deps"] = seconds("import torch, kornia, cv2, PIL.Image, safetensors, facerelight") - deps
-    results["import_seconds_over_torch_kornia"] = seconds("import torch, kornia, facerelight") - seconds("import torch, kornia")
+    results["import_seconds_over_deps"] = (
+        seconds("import torch, kornia, cv2, PIL.Image, safetensors, facerelight") - deps
+    )
+    results["import_seconds_over_torch_kornia"] = seconds("import torch, kornia, facerelight") - seconds(
+        "import torch, kornia"
+    )
     return results
 
 
@@ -112,7 +128,11 @@ def recognition(people: int = 1000, pixels: int = 100, dimension: int = 40) -> d
     probe = torch.rand(1, pixels, pixels, generator=generator)
     row = probe.flatten(1)
     mine, _, ratio = paired(lambda: classifier.decision_function(probe), lambda: row @ side_by_side)
-    return {"recognize_1000_seconds": mine, "recognize_1000_over_gemm": ratio, "recognize_1000_mb": classifier.bases.numel() * 4 / 1e6}
+    return {
+        "recognize_1000_seconds": mine,
+        "recognize_1000_over_gemm": ratio,
+        "recognize_1000_mb": classifier.bases.numel() * 4 / 1e6,
+    }
 
 
 def photo(learned: FaceStatistics) -> dict[str, float]:

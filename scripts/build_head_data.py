@@ -78,7 +78,9 @@ def main() -> None:
     }
     seam = np.linalg.norm(vertices[used] - (0.0, 6.625, 1.575), axis=1)  # between the lips
     near = np.argsort(seam)[:6]
-    packed["mouth"] = near[[vertices[used][near, 1].argmin()]].astype(np.uint16)  # the deepest point of the line between the lips
+    packed["mouth"] = near[[vertices[used][near, 1].argmin()]].astype(
+        np.uint16
+    )  # the deepest point of the line between the lips
 
     def add(name: str, path: Path) -> None:
         packed[name] = read_target(path, len(vertices))[used].astype(np.float16)
@@ -96,7 +98,12 @@ def main() -> None:
             for side in ("left", "right", "unsided"):
                 opposites = category.get("opposites", {})
                 negative, positive = opposites.get(f"negative-{side}"), opposites.get(f"positive-{side}")
-                if negative and positive and not ("angle-in" in negative and part == "head") and "trans-in" not in negative:
+                if (
+                    negative
+                    and positive
+                    and not ("angle-in" in negative and part == "head")
+                    and "trans-in" not in negative
+                ):
                     stem = f"{part}/{category.get('name', positive)}@{side}"
                     add(f"local/{stem}/-", targets / f"{part}/{negative}.target.gz")
                     add(f"local/{stem}/+", targets / f"{part}/{positive}.target.gz")

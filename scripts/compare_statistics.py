@@ -75,21 +75,30 @@ def main() -> None:
 
     print("| statistic | real | rendered | distance |\n|---|---|---|---|")
     print(f"| direction of mean n | | | median {angle.median():.1f}, mean {angle.mean():.1f} degrees |")
-    print(f"| length of mean n (albedo) | {albedo[0].mean():.3f} | {albedo[1].mean():.3f} | ratio's spread {ratio.log().std():.3f} |")
+    print(
+        f"| length of mean n (albedo) | {albedo[0].mean():.3f} | {albedo[1].mean():.3f} | ratio's spread {ratio.log().std():.3f} |"
+    )
     print(f"| spread of n | {spread[0].mean():.3f} | {spread[1].mean():.3f} | |")
     print(f"| mean v, grey levels | | | RMS {v_error.square().mean().sqrt():.1f} |")
     print(f"| spread of v, grey levels | {v_spread[0].mean():.1f} | {v_spread[1].mean():.1f} | |")
-    print(f"| brightness by light, real over rendered | | | {gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f} |")
+    print(
+        f"| brightness by light, real over rendered | | | {gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f} |"
+    )
     print(f"| mean image, grey levels | | | RMS {255 * (image[0] - image[1]).square().mean().sqrt():.1f} |")
     print(f"| correlation of v over lights | | | RMS {off.square().mean().sqrt():.3f} |")
     quantile = torch.tensor((0.1, 0.5, 0.9))
     texts = ["/".join(f"{v:.0f}" for v in tone.quantile(quantile)) for tone in tones]
     print(f"| tones, grey levels, 10/50/90 % | {texts[0]} | {texts[1]} | |")
     for k in range(5):
-        print(f"| log power, {2**k * 2} to {2**k * 4} pixels a wave | {power[0][k]:.2f} | {power[1][k]:.2f} | {power[0][k] / power[1][k]:.2f} |")
+        print(
+            f"| log power, {2**k * 2} to {2**k * 4} pixels a wave | {power[0][k]:.2f} | {power[1][k]:.2f} | {power[0][k] / power[1][k]:.2f} |"
+        )
     if args.output is None:
         return
-    order = [int((faces.angles - torch.tensor(wanted)).abs().sum(1).argmin()) for wanted in ((0.0, 0.0), (70.0, 0.0), (0.0, 45.0))]
+    order = [
+        int((faces.angles - torch.tensor(wanted)).abs().sum(1).argmin())
+        for wanted in ((0.0, 0.0), (70.0, 0.0), (0.0, 45.0))
+    ]
     maps = [("angle of mean n", angle, 0, 40), ("albedo, real", albedo[0], 0, 1), ("albedo, rendered", albedo[1], 0, 1)]
     for j in order:
         maps += [(f"v at {faces.angles[j].int().tolist()}: real - rendered", v_error[j], -80, 80)]

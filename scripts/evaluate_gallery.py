@@ -32,7 +32,9 @@ def as_photo(radiance: torch.Tensor) -> np.ndarray:
     return np.pad((coded * 255).round().byte().numpy(), ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), mode="edge")
 
 
-def rank_one(faces: FaceImages, relighter: StatisticalRelighter, photometric: str, noise: float | None) -> tuple[float, int, int]:
+def rank_one(
+    faces: FaceImages, relighter: StatisticalRelighter, photometric: str, noise: float | None
+) -> tuple[float, int, int]:
     """Rank-1 accuracy in percent, probes, and photographs in which no face was found."""
     images, valid = to_grid(faces)
     generator = np.random.default_rng(0)

@@ -39,7 +39,9 @@ class PrintedGroups(GroupRelighter):
             warnings.simplefilter("ignore", NumericalWarning)
             return super().__call__(*arguments)
 
-    def _covariance(self, fields: torch.Tensor, local: torch.Tensor, outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
+    def _covariance(
+        self, fields: torch.Tensor, local: torch.Tensor, outputs: torch.Tensor, inputs: torch.Tensor
+    ) -> torch.Tensor:
         right = super()._covariance(fields, local, outputs, inputs)
         swapped = torch.stack((fields[0], fields[1][[0, 0]]))
         r = outputs.shape[1]
@@ -51,7 +53,9 @@ def render(config: TrainConfig, folder: Path) -> torch.Tensor:
     """Images ``(N, J, H, W)`` of all heads of ``config``, kept in ``folder``."""
     path = folder / f"groups_{config.key()}.pt"
     if not path.exists():
-        loader = DataLoader(make_dataset(config), batch_size=None, num_workers=2, collate_fn=lambda x: x, multiprocessing_context="fork")
+        loader = DataLoader(
+            make_dataset(config), batch_size=None, num_workers=2, collate_fn=lambda x: x, multiprocessing_context="fork"
+        )
         torch.save(torch.stack([head.images for head in tqdm(loader, desc="rendering heads")]), path)
     return torch.load(path, weights_only=True)
 
@@ -64,14 +68,24 @@ def main() -> None:
     parser.add_argument("--lights", type=int, default=20)
     parser.add_argument("--height", type=int, default=48)
     parser.add_argument("--width", type=int, default=42)
-    parser.add_argument("--kernel-width", type=float, default=0.05, help="of the lights' kernel; narrow: both lights are bootstrap lights")
+    parser.add_argument(
+        "--kernel-width",
+        type=float,
+        default=0.05,
+        help="of the lights' kernel; narrow: both lights are bootstrap lights",
+    )
     parser.add_argument("--cache", default=None)
     parser.add_argument("--json", default=None)
     parser.add_argument("--figure", default=None)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         config = TrainConfig(
-            heads=max(args.counts) + args.people, lights=args.lights, height=args.height, width=args.width, margin=0.0, supersample=1
+            heads=max(args.counts) + args.people,
+            lights=args.lights,
+            height=args.height,
+            width=args.width,
+            margin=0.0,
+            supersample=1,
         )
         images = render(config, Path(args.cache or temporary))
     lights = config.directions()
@@ -96,7 +110,11 @@ def main() -> None:
                     if size == 1 and kind not in ("sample", PRINTED):
                         continue  # one pixel: nothing to shrink between pixels
                     regions = make_regions(groups)
-                    relighter = PrintedGroups(views, regions, "sample") if kind == PRINTED else GroupRelighter(views, regions, kind)
+                    relighter = (
+                        PrintedGroups(views, regions, "sample")
+                        if kind == PRINTED
+                        else GroupRelighter(views, regions, kind)
+                    )
                     out = relighter(tests[:, j : j + 1], source, target)
                     made = out.mean.clamp(0, 1)
                     rmse = float((made - tests[:, q].clamp(0, 1)).square().mean((1, 2)).sqrt().mean() * 255)
@@ -108,7 +126,9 @@ def main() -> None:
                     )
                     print(rows[-1], flush=True)
     if args.json:
-        Path(args.json).write_text(json.dumps({"people": args.people, "size": [args.height, args.width], "results": rows}, indent=2))
+        Path(args.json).write_text(
+            json.dumps({"people": args.people, "size": [args.height, args.width], "results": rows}, indent=2)
+        )
     if args.figure:
         draw(rows, args.figure)
 
@@ -120,7 +140,11 @@ def draw(rows: list[dict], path: str) -> None:
     for axis, count in zip(figure.subplots(1, len(counts), sharey=True, squeeze=False)[0], counts, strict=True):
         for grouping, style in (("correlation", "-"), ("random", ":")):
             for index, kind in enumerate((*KINDS, PRINTED)):
-                line = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["covariance"] == kind]
+                line = [
+                    row
+                    for row in rows
+                    if row["heads"] == count and row["grouping"] == grouping and row["covariance"] == kind
+                ]
                 first = [row for row in rows if row["heads"] == count and row["grouping"] == grouping and row["r"] == 1]
                 first = [row for row in first if row["covariance"] == ("sample" if kind != PRINTED else PRINTED)]
                 points = sorted({(row["r"], row["rmse"]) for row in first + line})

@@ -30,13 +30,21 @@ LEVELS = {"50": 0.6745, "80": 1.2816, "95": 1.96}
 def rendered(heads: int, people: int, height: int, width: int):
     """Images ``(N, J, H, W)`` of rendered heads and their lights; the first two are the source and the target."""
     lights = torch.cat((torch.stack((light_from_angles(70.0, 0.0), light_from_angles(0.0, 0.0))), even_hemisphere(62)))
-    dataset = make_dataset(TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights)
+    dataset = make_dataset(
+        TrainConfig(heads=heads + people, height=height, width=width, margin=0.0, supersample=1), lights
+    )
     images = dataset.images(tqdm(range(heads + people), desc="rendering heads"))
     return images, lights
 
 
 def measure(
-    statistics: FaceStatistics, people: torch.Tensor, valid: torch.Tensor, lights: torch.Tensor, source: int, target: int, register: bool
+    statistics: FaceStatistics,
+    people: torch.Tensor,
+    valid: torch.Tensor,
+    lights: torch.Tensor,
+    source: int,
+    target: int,
+    register: bool,
 ) -> dict:
     """Sums over test people, by model: squared shadow errors, identities, and how many errors lie within each interval."""
     sums: dict = {}
@@ -48,10 +56,14 @@ def measure(
         for person in range(len(people)):
             if not (valid[person, source] and valid[person, target]):
                 continue
-            posterior = relighter.condition(people[person : person + 1, source : source + 1], lights[source : source + 1], register=register)
+            posterior = relighter.condition(
+                people[person : person + 1, source : source + 1], lights[source : source + 1], register=register
+            )
             made = posterior.mean(lights[target : target + 1])[0, 0]
             dark = people[person, source] < 20 / 255
-            total["shadow"].append(float((made.clamp(0, 1) - people[person, target])[dark].square().mean().sqrt() * 255))
+            total["shadow"].append(
+                float((made.clamp(0, 1) - people[person, target])[dark].square().mean().sqrt() * 255)
+            )
             distance = (standard(made) - standard(gallery)).square().sum((-2, -1))
             total["right"].append(names[int(distance.argmin())] == person)
             others = [j for j in valid[person].nonzero()[:, 0].tolist() if j != source][::4]
@@ -115,7 +127,9 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=20, help="held-out rendered heads")
     parser.add_argument("--height", type=int, default=96)
     parser.add_argument("--width", type=int, default=84)
-    parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
+    parser.add_argument(
+        "--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown"
+    )
     parser.add_argument("--json", type=Path, default=None)
     parser.add_argument("--plot", type=Path, default=None, help="reliability diagram")
     args = parser.parse_args()
@@ -129,17 +143,24 @@ def main() -> None:
     if args.data:
         faces = load_yale(args.data, args.height, args.width)
         images, valid = to_grid(faces)
-        source, target = (int(nearest_lights(light_from_angles(*a)[None], faces.lights)) for a in ((70.0, 0.0), (0.0, 0.0)))
+        source, target = (
+            int(nearest_lights(light_from_angles(*a)[None], faces.lights)) for a in ((70.0, 0.0), (0.0, 0.0))
+        )
         parts = []
         for fold in range(4):
             out = torch.arange(len(images)) % 4 == fold
             aligned = align_people(images[~out], faces.lights, valid[~out])
-            learned = FaceStatistics.fit(aligned, faces.lights, valid[~out], FitOptions(face_rank=18, brightness=unknown_gain))
+            learned = FaceStatistics.fit(
+                aligned, faces.lights, valid[~out], FitOptions(face_rank=18, brightness=unknown_gain)
+            )
             parts.append(measure(learned, images[out], valid[out], faces.lights, source, target, register=True))
         sums["yale"] = parts
     if args.plot:
         models = {"pixel": "per-pixel", "face": "whole-face"}
-        draw({f"{name}, {models[model]}": reliability(parts, model) for name, parts in sums.items() for model in models}, args.plot)
+        draw(
+            {f"{name}, {models[model]}": reliability(parts, model) for name, parts in sums.items() for model in models},
+            args.plot,
+        )
     results = {name: summary(parts) for name, parts in sums.items()}
     print(json.dumps(results, indent=2))
     if args.json:

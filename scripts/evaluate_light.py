@@ -61,11 +61,16 @@ class Errors:
         }
 
 
-def estimators(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor | None, face_rank: int) -> dict[str, LightEstimator]:
+def estimators(
+    images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor | None, face_rank: int
+) -> dict[str, LightEstimator]:
     """Both, learned from the same people; photographs brought into step for the likelihood."""
     aligned = images if valid is None else align_people(images, lights, valid)
     statistics = FaceStatistics.fit(aligned, lights, valid, FitOptions(face_rank=face_rank, brightness=True))
-    return {"kernel": KernelIlluminationEstimator.fit(images, lights, valid), "likelihood": LikelihoodIlluminationEstimator(statistics)}
+    return {
+        "kernel": KernelIlluminationEstimator.fit(images, lights, valid),
+        "likelihood": LikelihoodIlluminationEstimator(statistics),
+    }
 
 
 def main() -> None:
@@ -80,7 +85,11 @@ def main() -> None:
     results = {}
 
     config = TrainConfig(heads=120, height=args.height, width=args.width, margin=0.0, supersample=1)
-    heads, lights, errors = make_dataset(config).images(tqdm(range(120), desc="rendering heads")), config.directions(), Errors()
+    heads, lights, errors = (
+        make_dataset(config).images(tqdm(range(120), desc="rendering heads")),
+        config.directions(),
+        Errors(),
+    )
     for name, estimator in estimators(heads[:100], lights, None, 40).items():
         errors.add(name, estimator, heads[100:].flatten(0, 1), lights.repeat(20, 1))
     results["heads"] = errors.report()

@@ -85,7 +85,9 @@ def main() -> None:
             made = torch.stack([relighter(inputs, INPUTS, target).mean for target in TARGETS], 1)
             return float((made.clamp(0, 1) - truth.clamp(0, 1)).square().mean((2, 3)).sqrt().mean() * 255), made
 
-        results: dict[str, float] = {"average_face": float((mean_face - truth).square().mean((2, 3)).sqrt().mean() * 255)}
+        results: dict[str, float] = {
+            "average_face": float((mean_face - truth).square().mean((2, 3)).sqrt().mean() * 255)
+        }
         pictures = {"truth": truth[0]}
         for rank, name in ((0, "per-pixel"), (40, "whole-face")):
             results[f"on_demand_{name}"], made = error(ViewRelighter(source, rank))
@@ -105,11 +107,18 @@ def main() -> None:
         print(f"{name}: {value:.4g}")
     if args.json:
         with open(args.json, "w") as file:
-            json.dump({"heads": args.heads, "people": args.people, "size": [args.height, args.width], "results": results}, file, indent=2)
+            json.dump(
+                {"heads": args.heads, "people": args.people, "size": [args.height, args.width], "results": results},
+                file,
+                indent=2,
+            )
     if args.picture:
         rows = [[inputs[0, k] for k in range(3)], *pictures.values()]
         angles = [f"{view.azimuth:+.0f}" for view in TARGETS]
-        names = [[f"input {view.azimuth:+.0f}" for view in INPUTS], *([f"{name} {angle}" for angle in angles] for name in pictures)]
+        names = [
+            [f"input {view.azimuth:+.0f}" for view in INPUTS],
+            *([f"{name} {angle}" for angle in angles] for name in pictures),
+        ]
         contact_sheet([[image.clamp(0, 1).sqrt().numpy() for image in row] for row in rows], names, args.picture)
 
 

@@ -26,7 +26,9 @@ from facerelight.relighter import LightEstimator, StatisticalRelighter
 from facerelight.statistics import FaceStatistics, FitOptions
 
 
-def learn(images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args: argparse.Namespace) -> StatisticalRelighter:
+def learn(
+    images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, args: argparse.Namespace
+) -> StatisticalRelighter:
     options = FitOptions(face_rank=18 if args.covariance == "face" else 0, brightness=True)
     if args.registration == "affine":
         images = align_people(images, lights, valid)
@@ -41,7 +43,9 @@ def rendered(args: argparse.Namespace) -> StatisticalRelighter:
     from facerelight.training import trained_folder
 
     fit = FitOptions(face_rank=40, brightness=True)
-    config = TrainConfig(heads=args.heads, source=args.source, height=args.height, width=args.width, margin=0.0, fit=fit)
+    config = TrainConfig(
+        heads=args.heads, source=args.source, height=args.height, width=args.width, margin=0.0, fit=fit
+    )
     relighter = StatisticalRelighter.from_pretrained(trained_folder(config), args.covariance)
     if args.estimator == "likelihood":
         relighter.estimator = LikelihoodIlluminationEstimator(relighter.statistics)
@@ -64,27 +68,47 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--protocol", choices=["yale-recognize", "pie-recognize"], default="yale-recognize")
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--bootstrap-data", type=Path, default=None, help="Extended Yale B, for pie-recognize with real statistics")
     parser.add_argument(
-        "--train-light", nargs="+", choices=["front", "side", "same", "random", "random-mild"], default=["front"], help="several share the work"
+        "--bootstrap-data", type=Path, default=None, help="Extended Yale B, for pie-recognize with real statistics"
+    )
+    parser.add_argument(
+        "--train-light",
+        nargs="+",
+        choices=["front", "side", "same", "random", "random-mild"],
+        default=["front"],
+        help="several share the work",
     )
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
-    parser.add_argument("--source", default="makehuman", help="of rendered heads: makehuman, ict_heads.npz or a folder of meshes")
+    parser.add_argument(
+        "--source", default="makehuman", help="of rendered heads: makehuman, ict_heads.npz or a folder of meshes"
+    )
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument(
-        "--classifier", nargs="+", default=list(CLASSIFIERS), help="names of facerelight.recognition.methods, without normalisation"
+        "--classifier",
+        nargs="+",
+        default=list(CLASSIFIERS),
+        help="names of facerelight.recognition.methods, without normalisation",
     )
     parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
     parser.add_argument("--photometric", nargs="+", choices=list(NORMALIZERS), default=["none", "tan_triggs", "weber"])
     parser.add_argument("--exemplars", choices=["grid", "hemisphere", "dome", "cap"], default="dome")
     parser.add_argument(
-        "--registration", choices=["affine", "none"], default="affine", help="of the people of real statistics, and of training images"
+        "--registration",
+        choices=["affine", "none"],
+        default="affine",
+        help="of the people of real statistics, and of training images",
     )
-    parser.add_argument("--estimator", choices=["likelihood", "kernel"], default="likelihood", help="of lights that are not labelled")
-    parser.add_argument("--shift", type=int, default=0, help="pixels by which probes may lie off, tried by every classifier")
-    parser.add_argument("--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)")
+    parser.add_argument(
+        "--estimator", choices=["likelihood", "kernel"], default="likelihood", help="of lights that are not labelled"
+    )
+    parser.add_argument(
+        "--shift", type=int, default=0, help="pixels by which probes may lie off, tried by every classifier"
+    )
+    parser.add_argument(
+        "--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)"
+    )
     parser.add_argument("--height", type=int, default=96)
     parser.add_argument("--width", type=int, default=84)
     parser.add_argument("--json", type=Path, default=None)
@@ -113,7 +137,12 @@ def main() -> int:
         groups = []
         for fold in range(4):
             train = [i for i in range(len(images)) if i % 4 != fold]
-            groups.append(([i for i in range(len(images)) if i % 4 == fold], learn(images[train], faces.lights, valid[train], args)))
+            groups.append(
+                (
+                    [i for i in range(len(images)) if i % 4 == fold],
+                    learn(images[train], faces.lights, valid[train], args),
+                )
+            )
     enrolment = Enrolment(args.source_light == "estimated", args.exemplars, args.shift, args.registration == "affine")
     for people, relighter in groups:
         galleries = {case: list(training_lights(faces, people, case, draws)) for case in args.train_light}

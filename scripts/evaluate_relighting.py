@@ -51,14 +51,30 @@ def main() -> int:
     parser.add_argument("--face-rank", type=int, default=18)
     parser.add_argument("--temper", type=float, default=100.0)
     parser.add_argument("--kernel-width", type=float, default=None, help="in light spacings; default: cross-validation")
-    parser.add_argument("--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown")
     parser.add_argument(
-        "--registration", choices=["affine", "none"], default=None, help="of people and inputs; default: affine, none with synthetic statistics"
+        "--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown"
     )
-    parser.add_argument("--detail", type=float, default=0.5, help="how much of the input's fine detail relit images keep; 0: the bare model")
-    parser.add_argument("--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain")
-    parser.add_argument("--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted")
-    parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes")
+    parser.add_argument(
+        "--registration",
+        choices=["affine", "none"],
+        default=None,
+        help="of people and inputs; default: affine, none with synthetic statistics",
+    )
+    parser.add_argument(
+        "--detail",
+        type=float,
+        default=0.5,
+        help="how much of the input's fine detail relit images keep; 0: the bare model",
+    )
+    parser.add_argument(
+        "--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain"
+    )
+    parser.add_argument(
+        "--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted"
+    )
+    parser.add_argument(
+        "--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes"
+    )
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--json", type=Path, default=None)
     args = parser.parse_args()
@@ -116,7 +132,10 @@ def main() -> int:
         "folds": args.folds,
         "kernel_width_deg": round(sum(widths) / len(widths), 2),
         "results": {case: by[args.covariance].summary() for case, by in scores.items()},
-        "baselines": {name: {case: by[name].summary() for case, by in scores.items()} for name in ("copy", "mean_face", "ratio_image")},
+        "baselines": {
+            name: {case: by[name].summary() for case, by in scores.items()}
+            for name in ("copy", "mean_face", "ratio_image")
+        },
         "light_estimator": light_error,
         "seconds": round(time.perf_counter() - started, 1),
     }

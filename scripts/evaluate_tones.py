@@ -29,7 +29,9 @@ def report(name: str, tone: torch.Tensor, errors: dict[str, torch.Tensor], brigh
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder; its lights serve both")
+    parser.add_argument(
+        "--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder; its lights serve both"
+    )
     parser.add_argument("--heads", type=int, default=80)
     parser.add_argument("--people", type=int, default=40, help="held-out rendered heads")
     parser.add_argument("--height", type=int, default=48)
@@ -38,7 +40,9 @@ def main() -> None:
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
     angles = angle_pairs(faces.lights)
-    dataset = make_dataset(TrainConfig(args.heads + args.people, lights=angles, height=args.height, width=args.width, margin=0.0))
+    dataset = make_dataset(
+        TrainConfig(args.heads + args.people, lights=angles, height=args.height, width=args.width, margin=0.0)
+    )
     images = dataset.images()
     statistics = FaceStatistics.fit(images[: args.heads], faces.lights, None, face_rank=40, brightness=True)
     strangers = images[args.heads :].clamp(0, 1)
@@ -54,11 +58,18 @@ def main() -> None:
     )
     photos, valid = to_grid(faces)
     frontal = int(faces.lights[:, 2].argmax())
-    print("| faces | tone | people | RMSE front | % of brightness | RMSE side | % of brightness |\n|---|---|---|---|---|---|---|")
+    print(
+        "| faces | tone | people | RMSE front | % of brightness | RMSE side | % of brightness |\n|---|---|---|---|---|---|---|"
+    )
     tone = torch.tensor([dataset.look(args.heads + index).tone for index in range(count)])
     cases = ("front", "side")
     levels = 255 * strangers[:, frontal].mean((1, 2))
-    report("rendered, by albedo", tone, {case: relighting_errors(statistics, held_out, case).nanmean(1) for case in cases}, levels)
+    report(
+        "rendered, by albedo",
+        tone,
+        {case: relighting_errors(statistics, held_out, case).nanmean(1) for case in cases},
+        levels,
+    )
     bright = torch.where(valid[:, frontal], photos[:, frontal].mean((1, 2)), torch.nan)
     known = bright.isfinite().nonzero()[:, 0]
     errors = {case: relighting_errors(statistics, faces, case).nanmean(1)[known] for case in cases}

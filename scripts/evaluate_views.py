@@ -65,7 +65,10 @@ def main() -> None:
         every = exemplar_views(expressions)["light, pose, expression"]
         for view in tqdm(every, desc="rendering exemplars"):
             rendered[view] = relighter(photos[:, None], [View()], view).mean.clamp(0, 1)
-        probes = {name: torch.cat([people.images(view) for view in views]).clamp(0, 1) for name, views in probe_views(expressions).items()}
+        probes = {
+            name: torch.cat([people.images(view) for view in views]).clamp(0, 1)
+            for name, views in probe_views(expressions).items()
+        }
     lines = [f"| exemplars over | {' | '.join(probes)} |", f"|---|{'---|' * len(probes)}"]
 
     def row(name: str, classifier: NearestNeighborClassifier | IndividualPCAClassifier) -> None:
@@ -74,7 +77,10 @@ def main() -> None:
 
     normalizer = make_normalizer("weber")
     row("(none) the photograph", NearestNeighborClassifier().fit(photos, labels))
-    row("(none) the photograph, Weber faces", NearestNeighborClassifier("cosine", normalizer=normalizer).fit(photos, labels))
+    row(
+        "(none) the photograph, Weber faces",
+        NearestNeighborClassifier("cosine", normalizer=normalizer).fit(photos, labels),
+    )
     for name, views in exemplar_views(expressions).items():
         images = torch.cat([photos, *(rendered[view] for view in views)])
         owners = labels * (len(images) // len(labels))

@@ -13,7 +13,7 @@ from facerelight.bootstrap.generate import BootstrapDataset
 from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.lights import light_from_angles
 from facerelight.photo import PhotoRelighter
-from facerelight.photo.files import read_photo
+from facerelight.photo.files.disk import read_photo
 from facerelight.visualize import contact_sheet, needle_map
 
 LIGHTS = ((60, 0), (30, 0), (0, 0), (-30, 0), (-60, 0), (0, 45), (45, 30), (-45, 30), (0, -30))

@@ -48,7 +48,9 @@ def main() -> None:
         for count in COUNTS:
             row = {"inputs": inputs, "draws": count}
             for name, independent in (("independent", True), ("quasi_random", False)):
-                errors = [(expected(count, seed, independent) - converged).square().mean() for seed in range(args.repeats)]
+                errors = [
+                    (expected(count, seed, independent) - converged).square().mean() for seed in range(args.repeats)
+                ]
                 row[name] = float(torch.stack(errors).mean().sqrt() * 255)
             rows.append(row)
             print(row, flush=True)
@@ -60,7 +62,9 @@ def main() -> None:
         generator = torch.Generator().manual_seed(0)
         counts = draw_mixture(components.mean, components.variance, draws, generator)
         error = (histogram_mode(counts) - exact).abs() * 255
-        histogram.append({"draws_a_pixel": 64 * draws, "mean_error": float(error.mean()), "p95_error": float(error.quantile(0.95))})
+        histogram.append(
+            {"draws_a_pixel": 64 * draws, "mean_error": float(error.mean()), "p95_error": float(error.quantile(0.95))}
+        )
         print(histogram[-1], flush=True)
     if args.json:
         Path(args.json).write_text(json.dumps({"expected": rows, "histogram": histogram}, indent=2))

@@ -26,7 +26,9 @@ def main() -> None:
     torch.set_num_threads(1)
     lights = even_hemisphere(args.lights)
     auto, full = (
-        BootstrapDataset(MakeHumanHeads(1), args.heads, lights, DEFAULT_CONFIG.frame, effects=effects, supersample=args.supersample)
+        BootstrapDataset(
+            MakeHumanHeads(1), args.heads, lights, DEFAULT_CONFIG.frame, effects=effects, supersample=args.supersample
+        )
         for effects in ("auto", "all")
     )
     _ = auto[0], full[0]  # open the renderers

@@ -43,13 +43,20 @@ def collapse(parts: list[torch.Tensor]) -> torch.Tensor:
 class Pyramid:
     """A per-pixel model for every band."""
 
-    def __init__(self, images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, levels: int, options: FitOptions) -> None:
+    def __init__(
+        self, images: torch.Tensor, lights: torch.Tensor, valid: torch.Tensor, levels: int, options: FitOptions
+    ) -> None:
         self.levels = levels
-        self.models = [StatisticalRelighter(FaceStatistics.fit(band, lights, valid, options)) for band in bands(images, levels)]
+        self.models = [
+            StatisticalRelighter(FaceStatistics.fit(band, lights, valid, options)) for band in bands(images, levels)
+        ]
 
     def relight(self, image: torch.Tensor, light: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """``image (1, 1, H, W)`` under ``targets (Q, 3)``, ``(Q, H, W)``."""
-        parts = [model.condition(band, light).mean(targets) for model, band in zip(self.models, bands(image, self.levels), strict=True)]
+        parts = [
+            model.condition(band, light).mean(targets)
+            for model, band in zip(self.models, bands(image, self.levels), strict=True)
+        ]
         return collapse(parts)[0]
 
 
@@ -68,7 +75,9 @@ def main() -> None:
         aligned = align_people(images[~out], faces.lights, valid[~out])
         whole = FaceStatistics.fit(aligned, faces.lights, valid[~out], FitOptions(face_rank=18))
         mean = whole.mean_images()
-        pyramids = {levels: Pyramid(aligned, faces.lights, valid[~out], levels, FitOptions()) for levels in (2, 3, 4, 5)}
+        pyramids = {
+            levels: Pyramid(aligned, faces.lights, valid[~out], levels, FitOptions()) for levels in (2, 3, 4, 5)
+        }
         for case, angles in SOURCES.items():
             source = int(nearest_lights(light_from_angles(*angles)[None], faces.lights))
             light = faces.lights[source : source + 1]
@@ -83,13 +92,18 @@ def main() -> None:
                     model: StatisticalRelighter(whole, model).condition(image, light).mean(faces.lights[targets])[0]
                     for model in ("pixel", "face")
                 }
-                made |= {f"pyramid of {n} levels": pyramid.relight(image, light, faces.lights[targets]) for n, pyramid in pyramids.items()}
+                made |= {
+                    f"pyramid of {n} levels": pyramid.relight(image, light, faces.lights[targets])
+                    for n, pyramid in pyramids.items()
+                }
                 for name, relit in made.items():
                     error = (undeform(relit, theta).clamp(0, 1) - person[targets]) * 255
                     errors.setdefault((name, case), []).append(error.square().mean((1, 2)).sqrt())
     print("| model | " + " | ".join(SOURCES) + " |\n|---|---|---|")
     for name in dict.fromkeys(name for name, _ in errors):
-        print(f"| {name} | " + " | ".join(f"{float(torch.cat(errors[name, case]).mean()):.2f}" for case in SOURCES) + " |")
+        print(
+            f"| {name} | " + " | ".join(f"{float(torch.cat(errors[name, case]).mean()):.2f}" for case in SOURCES) + " |"
+        )
 
 
 if __name__ == "__main__":

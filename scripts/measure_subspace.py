@@ -39,7 +39,10 @@ def main() -> None:
     for fold in range(4):
         out = torch.arange(len(images)) % 4 == fold
         learned = FaceStatistics.fit(
-            align_people(images[~out], faces.lights, valid[~out]), faces.lights, valid[~out], FitOptions(face_rank=18, brightness=True)
+            align_people(images[~out], faces.lights, valid[~out]),
+            faces.lights,
+            valid[~out],
+            FitOptions(face_rank=18, brightness=True),
         )
         relighter = StatisticalRelighter(learned, "face")
         for case, angles in SOURCES.items():
@@ -54,7 +57,9 @@ def main() -> None:
             for kind in ("grid", "hemisphere"):
                 lights, weights = exemplar_lights(kind)
                 moments = light_moments(posteriors[0], lights, weights)
-                row = rows.setdefault((kind, case), {name: [] for name in ("angles", "slow", "fast", "synthesised", "direct")})
+                row = rows.setdefault(
+                    (kind, case), {name: [] for name in ("angles", "slow", "fast", "synthesised", "direct")}
+                )
                 spaces: dict[str, list] = {"synthesised": [], "direct": []}
                 for posterior in posteriors:
                     started = time.perf_counter()
@@ -64,7 +69,9 @@ def main() -> None:
                     spaces["direct"].append(direct_subspace(posterior.people[0], moments, DIMENSION))
                     row["fast"].append(time.perf_counter() - middle)
                     row["slow"].append(middle - started)
-                    row["angles"].append(principal_angles(spaces["synthesised"][-1].basis, spaces["direct"][-1].basis).tolist())
+                    row["angles"].append(
+                        principal_angles(spaces["synthesised"][-1].basis, spaces["direct"][-1].basis).tolist()
+                    )
                 for name, found in spaces.items():
                     classifier = IndividualPCAClassifier(DIMENSION).fit_subspaces(found, people)
                     right = [a == b for a, b in zip(classifier.predict(torch.cat(probes)), labels, strict=True)]

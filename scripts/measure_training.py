@@ -72,14 +72,36 @@ def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
 def trained(heads: int, options: list[str]) -> dict[str, float]:
     """The report of a training run in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "facerelight.cli", "train", "--heads", str(heads), "--output", folder, "--workers", "0", "--json"]
-        return json.loads(subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+        command = [
+            sys.executable,
+            "-m",
+            "facerelight.cli",
+            "train",
+            "--heads",
+            str(heads),
+            "--output",
+            folder,
+            "--workers",
+            "0",
+            "--json",
+        ]
+        return json.loads(
+            subprocess.run([*command, *options], check=True, capture_output=True, text=True).stdout.splitlines()[-1]
+        )
 
 
 def shared(processes: int, folder: Path) -> tuple[float, float]:
     """Seconds of rendering and solving ``configs/tiny.yaml`` under torchrun, and of the whole command; every process held to one thread."""
     config = Path(__file__).parents[1] / "configs" / "tiny.yaml"
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", str(processes), "-m", "facerelight.cli"]
+    launcher = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--nproc-per-node",
+        str(processes),
+        "-m",
+        "facerelight.cli",
+    ]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
     started = time.perf_counter()
     command = [*launcher, "train", "--config", str(config), "--output", str(folder), "--workers", "0"]
@@ -91,11 +113,18 @@ def shared(processes: int, folder: Path) -> tuple[float, float]:
 def two_processes(repeats: int) -> None:
     """One process against two: time, and the largest difference of any statistic."""
     with tempfile.TemporaryDirectory() as temporary:
-        runs = [(shared(1, Path(temporary) / f"one{i}"), shared(2, Path(temporary) / f"two{i}")) for i in range(repeats)]
-        one, two = (FaceStatistics.load(Path(temporary) / name / "statistics.safetensors").state_dict() for name in ("one0", "two0"))
+        runs = [
+            (shared(1, Path(temporary) / f"one{i}"), shared(2, Path(temporary) / f"two{i}")) for i in range(repeats)
+        ]
+        one, two = (
+            FaceStatistics.load(Path(temporary) / name / "statistics.safetensors").state_dict()
+            for name in ("one0", "two0")
+        )
     largest = max(float((one[name] - two[name]).abs().max()) for name in one)
     training, whole = (statistics.median(a[k] / b[k] for a, b in runs) for k in (0, 1))
-    print(f"two processes under torchrun, configs/tiny.yaml, medians of {repeats} pairs: rendering and solving {training:.2f} times as fast as")
+    print(
+        f"two processes under torchrun, configs/tiny.yaml, medians of {repeats} pairs: rendering and solving {training:.2f} times as fast as"
+    )
     print(f"one, the whole command {whole:.2f} times; largest difference of a statistic {largest:.1e}")
 
 
@@ -116,15 +145,28 @@ def main() -> None:
     print("| pass | ms |\n|---|---|")
     for name, milliseconds in costs.items():
         print(f"| {name} | {milliseconds:.1f} |")
-    options = ["--height", str(args.height), "--width", str(args.width), "--lights", str(args.lights), "--supersample", "1"]
+    options = [
+        "--height",
+        str(args.height),
+        "--width",
+        str(args.width),
+        "--lights",
+        str(args.lights),
+        "--supersample",
+        "1",
+    ]
     runs = {count: trained(count, options) for count in COUNTS}
     print("\n| heads | rendering s | solving s | peak memory MB |\n|---|---|---|---|")
     for count, run in runs.items():
         print(f"| {count} | {run['render_seconds']} | {run['solve_seconds']} | {run['peak_memory_mb']} |")
     config = TrainConfig()
-    a_head = costs["geometry of a head"] + len(config.directions()) * (sum(costs.values()) - costs["geometry of a head"])
+    a_head = costs["geometry of a head"] + len(config.directions()) * (
+        sum(costs.values()) - costs["geometry of a head"]
+    )
     images = MILLION * len(config.directions()) * config.height * config.width * 4
-    print(f"\na head of the default config: {a_head / 1e3:.2f} s of one core; a million: {MILLION * a_head / 3.6e6:,.0f} core hours,")
+    print(
+        f"\na head of the default config: {a_head / 1e3:.2f} s of one core; a million: {MILLION * a_head / 3.6e6:,.0f} core hours,"
+    )
     print(f"{images / 1e12:.1f} TB of images; {86.4e6 / a_head:,.0f} heads a core and day")
     if args.picture:
         figure, axes = plt.subplots(1, 2, figsize=(9, 3.2))

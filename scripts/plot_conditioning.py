@@ -55,7 +55,9 @@ def sweep() -> list[tuple[float, float, float]]:
             zero = torch.zeros(1, dtype=torch.float64)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NumericalWarning)
-                ours = float(condition_gaussian(zero, torch.zeros(4), double[:1, :1], double[:1, 1:], noisy, values_y).mean)
+                ours = float(
+                    condition_gaussian(zero, torch.zeros(4), double[:1, :1], double[:1, 1:], noisy, values_y).mean
+                )
             scale = max(abs(truth), 1e-3)
             rows.append((condition, abs(plain - truth) / scale, abs(ours - truth) / scale))
     return rows

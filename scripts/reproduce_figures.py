@@ -72,10 +72,20 @@ def chapter_4(world: World, out: Path) -> list[tuple[str, str, str]]:
     heads = world.strangers(torch.stack(lights))
     rows = [[shown(heads[0, 5 * r + c]) for c in range(5)] for r in range(3)]
     contact_sheet(rows, [[f"az {a:+}, el {e:+}" for a in (80, 40, 0, -40, -80)] for e in (40, 0, -40)], out / "4.1.png")
-    contact_sheet([[shown(head[k]) for k in (2, 6, 8, 12)] for head in heads], [["el +40", "az +40", "az -40", "el -40"]] * 3, out / "4.2.png")
+    contact_sheet(
+        [[shown(head[k]) for k in (2, 6, 8, 12)] for head in heads],
+        [["el +40", "az +40", "az -40", "el -40"]] * 3,
+        out / "4.2.png",
+    )
     sweep = torch.stack([light(a) for a in range(-80, 81, 20)])
-    deviation = (world.statistics.weights(sweep) @ world.statistics.v_mean.flatten(1).abs()).unflatten(1, world.statistics.size)
-    contact_sheet([[(v / deviation.max()).numpy() for v in deviation]], [[f"az {a:+}" for a in range(-80, 81, 20)]], out / "4.5.png")
+    deviation = (world.statistics.weights(sweep) @ world.statistics.v_mean.flatten(1).abs()).unflatten(
+        1, world.statistics.size
+    )
+    contact_sheet(
+        [[(v / deviation.max()).numpy() for v in deviation]],
+        [[f"az {a:+}" for a in range(-80, 81, 20)]],
+        out / "4.5.png",
+    )
     trace = world.statistics.pixel.n_factor.square().sum((0, 1))
     figure = Figure(figsize=(3, 3.4), layout="constrained")
     axis = figure.subplots()
@@ -84,9 +94,17 @@ def chapter_4(world: World, out: Path) -> list[tuple[str, str, str]]:
     figure.savefig(out / "4.6.png")
     needle_map(world.statistics.n_mean, out / "4.7.png")
     return [
-        ("4.1", "What the light angles mean: positive azimuth is a light from image-left.", "agrees with (4.1), its minus sign included"),
+        (
+            "4.1",
+            "What the light angles mean: positive azimuth is a light from image-left.",
+            "agrees with (4.1), its minus sign included",
+        ),
         ("4.2", "Three people of the bootstrap's kind under the same four lights.", "agrees"),
-        ("4.5", "The mean size of the deviation |v(s)| as the light goes round.", "agrees: shadows and highlights are what deviates"),
+        (
+            "4.5",
+            "The mean size of the deviation |v(s)| as the light goes round.",
+            "agrees: shadows and highlights are what deviates",
+        ),
         ("4.6", "The trace of the covariance of n.", "agrees: the most at nose, brows, eyes and mouth"),
         ("4.7", "The mean n as a needle map.", "agrees"),
     ]
@@ -105,7 +123,14 @@ def methods(world: World, out: Path) -> list[tuple[str, str, str]]:
     raw = (counts.argmax(0) / 255).view(size)
     smooth = histogram_mode(samples).view(size)
     exact, expected = posterior.mode(target[None])[0, 0], posterior.mean(target[None])[0, 0]
-    pictures = {"input": seen, "MAP, raw": raw, "MAP, filtered": smooth, "MAP, exact": exact, "expected": expected, "truth": truth}
+    pictures = {
+        "input": seen,
+        "MAP, raw": raw,
+        "MAP, filtered": smooth,
+        "MAP, exact": exact,
+        "expected": expected,
+        "truth": truth,
+    }
     contact_sheet([[shown(p) for p in pictures.values()]], [list(pictures)], out / "5.1.png")
     noise = {name: float((p[1:] - p[:-1]).abs().mean() * 255) for name, p in pictures.items()}
     place = size[0] // 3 * size[1] + size[1] // 3
@@ -113,7 +138,10 @@ def methods(world: World, out: Path) -> list[tuple[str, str, str]]:
     axis = figure.subplots()
     axis.plot(counts[:, place], ".", markersize=3, label="histogram of drawn images")
     grey = torch.arange(256) / 255
-    density = torch.exp(-0.5 * (grey[:, None] - parts.mean[:, place]) ** 2 / parts.variance[:, place]) / parts.variance[:, place].sqrt()
+    density = (
+        torch.exp(-0.5 * (grey[:, None] - parts.mean[:, place]) ** 2 / parts.variance[:, place])
+        / parts.variance[:, place].sqrt()
+    )
     curve = density.sum(1)
     axis.plot(curve / curve.sum() * len(samples), "r", label="the mixture's density")
     axis.axvline(float(smooth.flatten()[place] * 255), color="k", linewidth=0.8, label="mode of the filtered histogram")
@@ -123,7 +151,11 @@ def methods(world: World, out: Path) -> list[tuple[str, str, str]]:
     agrees = noise["MAP, raw"] > noise["MAP, filtered"] > noise["expected"]
     steps = f"mean step between neighbouring pixels {noise['MAP, raw']:.1f}, {noise['MAP, filtered']:.1f}, {noise['expected']:.1f} grey levels"
     return [
-        ("5.1", f"MAP image raw, filtered and exact, and the expected image; {steps}.", "agrees" if agrees else "differs: see the figures"),
+        (
+            "5.1",
+            f"MAP image raw, filtered and exact, and the expected image; {steps}.",
+            "agrees" if agrees else "differs: see the figures",
+        ),
         ("5.2", "The histogram at one pixel, the exact density, and the mode that the filter finds.", "agrees"),
     ]
 
@@ -134,32 +166,51 @@ def single_input(world: World, out: Path) -> list[tuple[str, str, str]]:
     said = []
     for name, index, what in (("5.3", 0, "near-frontal"), ("5.4", 1, "side-lit")):
         image, truth = people[0, index], people[0, 3:]
-        made = {m: r(image[None, None], targets).mean[0] for m, r in (("per-pixel", world.pixel), ("whole-face", world.face))}
+        made = {
+            m: r(image[None, None], targets).mean[0]
+            for m, r in (("per-pixel", world.pixel), ("whole-face", world.face))
+        }
         rows = [[shown(image)], *[[shown(p) for p in row] for row in (*made.values(), truth)]]
         contact_sheet(rows, [["input"], *[[name] * 6 for name in (*made, "truth")]], out / f"{name}.png")
         errors = ", ".join(f"{m} {rmse(p, truth):.1f}" for m, p in made.items())
-        said.append((name, f"From one {what} image, light unknown, to six lights; RMSE {errors} grey levels.", "agrees"))
+        said.append(
+            (name, f"From one {what} image, light unknown, to six lights; RMSE {errors} grey levels.", "agrees")
+        )
     black = world.pixel(torch.zeros(1, 1, *world.statistics.size), light(0)[None]).mean[0, 0]
     nearest = int((world.lights @ light(0)).argmax())
     average = world.images[:, nearest].mean(0)
     made = world.pixel(torch.zeros(1, 1, *world.statistics.size), world.lights[nearest][None]).mean[0, 0]
     contact_sheet([[shown(black), shown(average)]], [["from a black input", "average head"]], out / "5.5.png")
     square = rmse(made, average) ** 2
-    said.append(("5.5", f"An all-black input gives the average face: mean square difference {square:.2f} (0.18 in the thesis).", "agrees"))
+    said.append(
+        (
+            "5.5",
+            f"An all-black input gives the average face: mean square difference {square:.2f} (0.18 in the thesis).",
+            "agrees",
+        )
+    )
     both = people[1, [1, 2]]
     frontal = world.pixel(both[None], light(0)[None]).mean[0, 0]
     error = rmse(frontal, people[1, 3])
-    contact_sheet([[shown(i) for i in (*both, frontal, people[1, 3])]], [["input", "input", "output", "truth"]], out / "5.6.png")
-    said.append(("5.6", f"Two inputs lit from opposite sides, relit to the front; RMSE {error:.1f} grey levels.", "agrees"))
+    contact_sheet(
+        [[shown(i) for i in (*both, frontal, people[1, 3])]], [["input", "input", "output", "truth"]], out / "5.6.png"
+    )
+    said.append(
+        ("5.6", f"Two inputs lit from opposite sides, relit to the front; RMSE {error:.1f} grey levels.", "agrees")
+    )
     given = torch.stack([light(a, e) for e in (-25, 0, 25) for a in range(-75, 76, 25)])
     inputs = world.strangers(given)[2]
     sweep = torch.stack([light(a) for a in range(-90, 91, 10)])
     moving = world.face.condition(inputs[None], given).mean(sweep)[0]
-    rows = [[shown(i) for i in inputs[r : r + 7]] for r in (0, 7, 14)] + [[shown(i) for i in moving[:: len(moving) // 6]]]
+    rows = [[shown(i) for i in inputs[r : r + 7]] for r in (0, 7, 14)] + [
+        [shown(i) for i in moving[:: len(moving) // 6]]
+    ]
     contact_sheet(rows, [[""] * 7] * 4, out / "5.7.png")
     frames = [Image.fromarray((shown(i) * 255).astype(np.uint8)).resize((224, 256)) for i in (*moving, *moving.flip(0))]
     frames[0].save(out / "moving_light.gif", save_all=True, append_images=frames[1:], duration=90, loop=0)
-    said.append(("5.7", "Twenty-one inputs under known lights and, last row, a light that moves from right to left.", "agrees"))
+    said.append(
+        ("5.7", "Twenty-one inputs under known lights and, last row, a light that moves from right to left.", "agrees")
+    )
     said.append(("moving_light", "The moving light of section 5.4 as a GIF.", "agrees"))
     return said
 
@@ -181,14 +232,21 @@ def groups(world: World, out: Path) -> list[tuple[str, str, str]]:
     said = [("5.8", "Five of the regions that Algorithm 3 makes, r = 10: mostly neighbours, some from afar.", "agrees")]
     for name, make, sizes, what in (
         ("5.9", lambda r: group_by_correlation(samples, r), (1, 2, 5, 10, 15, 20, 30), "by correlation"),
-        ("5.10", lambda r: random_groups(samples.shape[1], r, torch.Generator().manual_seed(0)), (2, 5, 10, 20), "at random"),
+        (
+            "5.10",
+            lambda r: random_groups(samples.shape[1], r, torch.Generator().manual_seed(0)),
+            (2, 5, 10, 20),
+            "at random",
+        ),
     ):
         rows, errors = {}, {}
         for kind in (PRINTED, "sample", "block"):
             made = []
             for r in sizes:
                 regions = make_regions(make(r))
-                relighter = PrintedGroups(views, regions, "sample") if kind == PRINTED else GroupRelighter(views, regions, kind)
+                relighter = (
+                    PrintedGroups(views, regions, "sample") if kind == PRINTED else GroupRelighter(views, regions, kind)
+                )
                 made.append(relighter(side[None, None], [source], target).mean[0])
             rows[kind] = [shown(m) for m in made]
             errors[kind] = [rmse(m, truth) for m in made]
@@ -198,7 +256,9 @@ def groups(world: World, out: Path) -> list[tuple[str, str, str]]:
         noise = {kind: [float(np.abs(np.diff(image, axis=1)).mean() * 255) for image in rows[kind]] for kind in rows}
         grows = noise[PRINTED][-1] > 1.2 * noise["block"][-1]
         verdict = (
-            "agrees with (5.2) as printed, whose images are the noisier the larger r is" if grows else "differs: (5.2) as printed is not noisy"
+            "agrees with (5.2) as printed, whose images are the noisier the larger r is"
+            if grows
+            else "differs: (5.2) as printed is not noisy"
         )
         verdict += "; with the right block inverted groups help" if errors["sample"][-1] < errors["sample"][0] else ""
         text += f"; steps between neighbours at the largest r: as printed {noise[PRINTED][-1]:.1f}, block {noise['block'][-1]:.1f}"
@@ -242,11 +302,17 @@ def main() -> None:
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
     world = World(args.heads, args.lights, args.height, args.width, args.output / "views")
-    entries = [entry for chapter in (chapter_4, methods, single_input, groups, poses) for entry in chapter(world, args.output)]
-    lines = ["<!doctype html><meta charset=utf-8><title>The thesis's figures, drawn again</title><h1>The thesis's figures, drawn again</h1>"]
+    entries = [
+        entry for chapter in (chapter_4, methods, single_input, groups, poses) for entry in chapter(world, args.output)
+    ]
+    lines = [
+        "<!doctype html><meta charset=utf-8><title>The thesis's figures, drawn again</title><h1>The thesis's figures, drawn again</h1>"
+    ]
     for name, what, verdict in entries:
         file = f"{name}.gif" if name == "moving_light" else f"{name}.png"
-        lines.append(f"<h2>{name}</h2><p>{html.escape(what)} <b>{html.escape(verdict)}.</b></p><img src='{file}' alt='{name}'>")
+        lines.append(
+            f"<h2>{name}</h2><p>{html.escape(what)} <b>{html.escape(verdict)}.</b></p><img src='{file}' alt='{name}'>"
+        )
         print(f"{name}: {what} {verdict}.")
     (args.output / "index.html").write_text("\n".join(lines))
 

@@ -28,7 +28,9 @@ def peak_memory_mb(run: Callable[[], object]) -> float:
         with open("/proc/self/status") as file:
             return next(int(line.split()[1]) for line in file if line.startswith(field))
 
-    ctypes.CDLL(None).malloc_trim(0)  # what earlier work freed goes back to the system, and does not hide what this needs
+    ctypes.CDLL(None).malloc_trim(
+        0
+    )  # what earlier work freed goes back to the system, and does not hide what this needs
     with open("/proc/self/clear_refs", "w") as file:
         file.write("5")
     before = status("VmRSS")
@@ -69,7 +71,9 @@ def recognition(
         posterior = relighter.condition(photos[:, None], lights[chosen][:, None])
         if value == "direct, no synthesis":
             moments = light_moments(posterior, nodes, torch.ones(len(nodes)))
-            classifier.fit_subspaces([direct_subspace(person, moments, dimension) for person in posterior.people], range(len(people)))
+            classifier.fit_subspaces(
+                [direct_subspace(person, moments, dimension) for person in posterior.people], range(len(people))
+            )
         else:
             relit = synthesize(posterior, nodes).flatten(0, 1)
             classifier.fit(shrunk(relit), [person for person in range(len(people)) for _ in nodes])

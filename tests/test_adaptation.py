@@ -45,7 +45,11 @@ def test_adapting_helps_with_people_of_that_kind(people: torch.Tensor, lights: t
     told = [person((people[i] * lamp)[::2], lights[::2]) for i in range(8, 12)]
     errors = []
     for statistics in (prior, adapt(prior, told)):
-        relit = StatisticalRelighter(statistics, "face").condition(people[12:, :1], lights[None, :1].expand(4, 1, 3)).mean(lights)
+        relit = (
+            StatisticalRelighter(statistics, "face")
+            .condition(people[12:, :1], lights[None, :1].expand(4, 1, 3))
+            .mean(lights)
+        )
         errors.append(float((relit - people[12:] * lamp).square().mean()))
     assert errors[1] < 0.8 * errors[0]
 
@@ -83,7 +87,20 @@ def test_training_adapts_to_a_folder(tmp_path: Path, capsys: pytest.CaptureFixtu
     grey[40:60] = 140
     (tmp_path / "people").mkdir()
     Image.fromarray(grey).save(tmp_path / "people" / "ann_A+000E+00.png")
-    options = ["--heads", "3", "--lights", "6", "--height", "24", "--width", "21", "--workers", "0", "--fit.face_rank", "1"]
+    options = [
+        "--heads",
+        "3",
+        "--lights",
+        "6",
+        "--height",
+        "24",
+        "--width",
+        "21",
+        "--workers",
+        "0",
+        "--fit.face_rank",
+        "1",
+    ]
     assert main(["train", *options, "--adapt", str(tmp_path / "people")]) == 2
     assert "--output" in capsys.readouterr().err
     assert main(["train", *options, "--adapt", str(tmp_path / "people"), "--output", str(tmp_path / "out")]) == 0

@@ -20,7 +20,7 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 
 from facerelight.cli import main
-from facerelight.photo.files import read_photo
+from facerelight.photo.files.disk import read_photo
 from facerelight.statistics import FaceStatistics
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
@@ -36,7 +36,12 @@ def encoded(kind: str, mode: str = "RGB") -> bytes:
 
 def bad_photos() -> dict[str, bytes]:
     """Contents by file name."""
-    files: dict[str, bytes] = {"empty.png": b"", "text.jpg": b"not a picture", "html.png": b"<html></html>", "zeros.tif": bytes(500)}
+    files: dict[str, bytes] = {
+        "empty.png": b"",
+        "text.jpg": b"not a picture",
+        "html.png": b"<html></html>",
+        "zeros.tif": bytes(500),
+    }
     for kind in ("JPEG", "PNG", "TIFF", "PPM", "BMP", "WEBP"):
         whole = encoded(kind)
         for part in (1, 2, 5, 10, 20, 30, 40, 50, 60, 70):
@@ -63,13 +68,21 @@ def _png_header(width: int, height: int) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+        + chunk(b"IDAT", b"")
+        + chunk(b"IEND", b"")
     )
 
 
 def bad_statistics(good: Path) -> dict[str, bytes]:
     whole = (good / "statistics.safetensors").read_bytes()
-    files = {"empty": b"", "text": b"hello", "pickle": pickle.dumps([1]), "huge_header": struct.pack("<Q", 2**60) + whole[8:]}
+    files = {
+        "empty": b"",
+        "text": b"hello",
+        "pickle": pickle.dumps([1]),
+        "huge_header": struct.pack("<Q", 2**60) + whole[8:],
+    }
     for part in (1, 10, 50, 90, 99):
         files[f"cut_{part}"] = whole[: len(whole) * part // 100]
     tensors = load_file(good / "statistics.safetensors")
@@ -117,7 +130,9 @@ BAD_CONFIGS = [
 ]  # fmt: skip
 
 
-def test_at_least_200_bad_files_are_refused_in_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_at_least_200_bad_files_are_refused_in_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Through the command line's main: exit code 2, the file named, no traceback, nothing written, nothing executed."""
     output = tmp_path / "out" / "relit.png"
     count = 0
@@ -161,7 +176,17 @@ def test_at_least_200_bad_files_are_refused_in_one_line(folder: Path, tmp_path: 
         (place / name).write_bytes(content[0])
         if content[1] is not None:
             (place / name).with_suffix(".points.txt").write_text(content[1])
-        training = ["train", "--config", str(CONFIG), "--heads", "2", "--workers", "0", "--output", str(tmp_path / f"m{index}")]
+        training = [
+            "train",
+            "--config",
+            str(CONFIG),
+            "--heads",
+            "2",
+            "--workers",
+            "0",
+            "--output",
+            str(tmp_path / f"m{index}"),
+        ]
         (place / f"second{Path(name).suffix}").write_bytes(content[0])
         (place / "second.points.txt").write_text(content[1] or "")
         refused([*training, "--source", str(place)], f"{index} {name}")
@@ -170,8 +195,20 @@ def test_at_least_200_bad_files_are_refused_in_one_line(folder: Path, tmp_path: 
         path.write_bytes(tensors)
         path.with_suffix(".json").write_text(notes)
         refused(["recognize", str(path), "--photos", str(good), "--statistics", str(folder)], name)
-    for value in ("", "1,2,3", "a,b,c,d,e,f", "1,1,1,1,1,1", "0,0,5,5,9,9", "-900,0,40,0,20,40", "nan,0,40,0,20,40", "1e9,0,40,0,20,40"):
-        refused(["relight", f"--landmarks={value}", "--statistics", str(folder), "--output", str(output), str(good)], f"landmarks {value!r}")
+    for value in (
+        "",
+        "1,2,3",
+        "a,b,c,d,e,f",
+        "1,1,1,1,1,1",
+        "0,0,5,5,9,9",
+        "-900,0,40,0,20,40",
+        "nan,0,40,0,20,40",
+        "1e9,0,40,0,20,40",
+    ):
+        refused(
+            ["relight", f"--landmarks={value}", "--statistics", str(folder), "--output", str(output), str(good)],
+            f"landmarks {value!r}",
+        )
     print(f"{count} bad files refused")
     assert count >= 200, count
     assert not (tmp_path / "never").exists() or not list((tmp_path / "never").rglob("*.safetensors"))
@@ -200,7 +237,15 @@ def bad_meshes() -> dict[str, tuple[bytes, str | None]]:
 def bad_galleries() -> dict[str, tuple[bytes, str]]:
     from safetensors.torch import save
 
-    notes = {"format": "facerelight-gallery", "version": 2, "names": ["a"], "photometric": "weber", "dimension": 2, "shift": 0, "reject": None}
+    notes = {
+        "format": "facerelight-gallery",
+        "version": 2,
+        "names": ["a"],
+        "photometric": "weber",
+        "dimension": 2,
+        "shift": 0,
+        "reject": None,
+    }
     good = save({"means": torch.zeros(1, 2016), "bases": torch.zeros(1, 2016, 2), "dimensions": torch.tensor([2])})
     text = json.dumps(notes)
     return {
@@ -258,7 +303,14 @@ def test_places_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest
         ["relight", str(good), "--statistics", str(tmp_path / "nowhere")],
         ["train", "--config", str(CONFIG), "--output", str(tmp_path / "file")],
         ["recognize", str(tmp_path / "none.safetensors"), "--photos", str(good), "--statistics", str(folder)],
-        ["recognize", str(tmp_path / "none.safetensors"), "--enroll", str(tmp_path / "nowhere"), "--statistics", str(folder)],
+        [
+            "recognize",
+            str(tmp_path / "none.safetensors"),
+            "--enroll",
+            str(tmp_path / "nowhere"),
+            "--statistics",
+            str(folder),
+        ],
     ):
         assert main(arguments) == 2, arguments
         assert "Traceback" not in capsys.readouterr().err
@@ -268,14 +320,25 @@ def test_places_that_cannot_be_used(folder: Path, tmp_path: Path, capsys: pytest
 def test_real_commands_end_with_2(arguments: list[str], tmp_path: Path) -> None:
     cut = tmp_path / "cut.png"
     cut.write_bytes(encoded("PNG")[:200])
-    command = [sys.executable, "-W", "error", "-m", "facerelight.cli", *(argument.format(cut=cut) for argument in arguments)]
+    command = [
+        sys.executable,
+        "-W",
+        "error",
+        "-m",
+        "facerelight.cli",
+        *(argument.format(cut=cut) for argument in arguments),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(kind=st.sampled_from(["JPEG", "PNG", "TIFF", "PPM", "BMP", "WEBP"]), place=st.floats(0, 1), value=st.binary(min_size=1, max_size=8))
+@given(
+    kind=st.sampled_from(["JPEG", "PNG", "TIFF", "PPM", "BMP", "WEBP"]),
+    place=st.floats(0, 1),
+    value=st.binary(min_size=1, max_size=8),
+)
 def test_mutated_photos_are_read_or_refused(tmp_path: Path, kind: str, place: float, value: bytes) -> None:
     """A bounded fuzz; ``python tests/test_bad_files.py 10000`` runs a longer one."""
     read_mutated(tmp_path / "mutated", kind, place, value)
@@ -314,12 +377,28 @@ def test_training_stopped_by_a_signal_goes_on(tmp_path: Path) -> None:
     (tmp_path / "killed" / "images" / "subject_000000.npy").write_bytes(b"damaged")
     assert main(["train", *options, str(tmp_path / "killed")]) == 0
     assert main(["train", *options, str(tmp_path / "whole")]) == 0
-    killed, whole = (FaceStatistics.load(tmp_path / name / "statistics.safetensors").state_dict() for name in ("killed", "whole"))
+    killed, whole = (
+        FaceStatistics.load(tmp_path / name / "statistics.safetensors").state_dict() for name in ("killed", "whole")
+    )
     assert all(torch.equal(killed[name], whole[name]) for name in whole)
 
 
-def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["train", "--config", str(CONFIG), "--heads", "3", "--fit.face_rank", "0", "--workers", "0", "--output", str(tmp_path)]
+def test_a_full_disk_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [
+        "train",
+        "--config",
+        str(CONFIG),
+        "--heads",
+        "3",
+        "--fit.face_rank",
+        "0",
+        "--workers",
+        "0",
+        "--output",
+        str(tmp_path),
+    ]
     real, written = np.save, []
 
     def full(file, array):
@@ -343,4 +422,6 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch:
         for _ in range(int(sys.argv[1]) if len(sys.argv) > 1 else 1000):
             kinds = ["JPEG", "PNG", "TIFF", "PPM", "BMP", "WEBP"]
-            read_mutated(Path(scratch) / "mutated", str(generator.choice(kinds)), float(generator.random()), generator.bytes(4))
+            read_mutated(
+                Path(scratch) / "mutated", str(generator.choice(kinds)), float(generator.random()), generator.bytes(4)
+            )

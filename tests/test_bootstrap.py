@@ -111,7 +111,9 @@ def test_shadows_match_ray_casting(dataset: BootstrapDataset) -> None:
 
 
 def test_light_comes_from_where_the_convention_says(dataset: BootstrapDataset) -> None:
-    left, right, above, below = (dataset_image(dataset, azimuth, elevation) for azimuth, elevation in ((60, 0), (-60, 0), (0, 60), (0, -60)))
+    left, right, above, below = (
+        dataset_image(dataset, azimuth, elevation) for azimuth, elevation in ((60, 0), (-60, 0), (0, 60), (0, -60))
+    )
     columns, rows = left.shape[1] // 2, left.shape[0] // 2
     assert left[:, :columns].mean() > 1.5 * left[:, columns:].mean()
     assert right[:, columns:].mean() > 1.5 * right[:, :columns].mean()
@@ -154,7 +156,9 @@ def test_meshes_of_the_users_own(tmp_path) -> None:
     points = np.vstack((head.landmarks, head.vertices[:5]))
     for name, scale in (("a", 1.0), ("b", 3.0)):
         turn = trimesh.transformations.rotation_matrix(0.4 * scale, (0, 1, 0))[:3, :3]
-        trimesh.Trimesh(scale * head.vertices @ turn.T + 7, head.triangles, process=False).export(tmp_path / f"{name}.ply")
+        trimesh.Trimesh(scale * head.vertices @ turn.T + 7, head.triangles, process=False).export(
+            tmp_path / f"{name}.ply"
+        )
         np.savetxt(tmp_path / f"{name}.points.txt", scale * points @ turn.T + 7)
     source = MeshFolder(tmp_path)
     assert len(source) == 2
@@ -179,7 +183,9 @@ def test_least_squares_normals_follow_the_mesh(dataset: BootstrapDataset) -> Non
 def test_the_highlight_is_torrance_and_sparrow() -> None:
     """Against the formula written out pixel by pixel in float64, and nowhere visible where the plan says it cannot be."""
     generator = torch.Generator().manual_seed(0)
-    normal = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator) * torch.tensor((1.0, 1.0, 0.5)), dim=1)
+    normal = torch.nn.functional.normalize(
+        torch.randn(500, 3, generator=generator) * torch.tensor((1.0, 1.0, 0.5)), dim=1
+    )
     normal[:, 2] = normal[:, 2].abs()
     skin = Material(specular=0.05, roughness=0.35, fill=0.0)
     for azimuth, elevation in ((0.0, 0.0), (60.0, 10.0), (-100.0, 20.0)):
@@ -188,8 +194,15 @@ def test_the_highlight_is_torrance_and_sparrow() -> None:
         half = half / half.norm()
         got = _highlight(normal, light, skin)
         for n, value in zip(normal.double(), got, strict=True):
-            nh, nl, nv, vh = max(float(n @ half), 1e-3), max(float(n @ light.double()), 0.0), max(float(n[2]), 0.05), float(half[2])
-            beckmann = np.exp(-(1 / nh**2 - 1) / 0.35**2) / (0.35**2 * nh**4)  # times pi, as the white surface's radiance is
+            nh, nl, nv, vh = (
+                max(float(n @ half), 1e-3),
+                max(float(n @ light.double()), 0.0),
+                max(float(n[2]), 0.05),
+                float(half[2]),
+            )
+            beckmann = np.exp(-(1 / nh**2 - 1) / 0.35**2) / (
+                0.35**2 * nh**4
+            )  # times pi, as the white surface's radiance is
             fresnel = 0.05 / 0.028 * (0.028 + (1 - 0.028) * (1 - vh) ** 5)
             grooves = min(1.0, 2 * nh * nv / vh, 2 * nh * nl / vh)
             assert abs(float(value) - fresnel * beckmann * grooves / (4 * nv)) < 1e-4 * max(1.0, float(value))
@@ -206,7 +219,9 @@ def test_heads_stand_as_the_domain_says() -> None:
     nose = upright.vertices[:, 2].argmax()
     assert up.vertices[nose, 1] > upright.vertices[nose, 1]  # who looks up lifts the nose
     several = [stand(upright, np.random.default_rng(i), replace(exact, turn=5.0, misalign=0.05)) for i in range(200)]
-    sideways = np.rad2deg([np.arcsin(np.clip((h.vertices[nose, 0]) / (upright.vertices[nose, 2] - PIVOT[2]), -1, 1)) for h in several])
+    sideways = np.rad2deg(
+        [np.arcsin(np.clip((h.vertices[nose, 0]) / (upright.vertices[nose, 2] - PIVOT[2]), -1, 1)) for h in several]
+    )
     assert 3.5 < sideways.std() < 5.5
     marks = np.stack([h.landmarks for h in several]) - np.stack([rotate_back(h, upright) for h in several])
     assert 0.04 < marks[..., :2].std() < 0.06

@@ -9,7 +9,9 @@ from facerelight.statistics import FitOptions
 
 def test_more_than_one_loading_is_worth_having(people: torch.Tensor, lights: torch.Tensor) -> None:
     """The world of the fixtures varies in five ways: cross-validation takes several loadings, and its error is the least of the table."""
-    choice = choose_face_options(people, lights, options=FitOptions(rank=4, basis=12), ranks=(1, 5), tempers=(1.0, 10.0, 1000.0))
+    choice = choose_face_options(
+        people, lights, options=FitOptions(rank=4, basis=12), ranks=(1, 5), tempers=(1.0, 10.0, 1000.0)
+    )
     assert choice.options.face_rank == 5
     assert choice.options.rank == 4
     assert set(choice.errors) == {(rank, temper) for rank in (1, 5) for temper in (1.0, 10.0, 1000.0)}

@@ -15,7 +15,9 @@ def patterns(*shape: int, seed: int = 0) -> torch.Tensor:
 def test_blur_equals_scipys(sigma: float) -> None:
     images = patterns(3)
     reach = int(3 * sigma + 0.5)
-    expected = np.stack([gaussian_filter(image.double().numpy(), sigma, mode="nearest", radius=reach) for image in images])
+    expected = np.stack(
+        [gaussian_filter(image.double().numpy(), sigma, mode="nearest", radius=reach) for image in images]
+    )
     assert np.abs(gaussian_blur(images, sigma).numpy() - expected).max() < 1e-5
 
 

@@ -3,7 +3,13 @@ import warnings
 import pytest
 import torch
 
-from facerelight.gaussian import NotPositiveDefiniteError, NumericalWarning, condition_gaussian, correlation_factor, safe_cholesky
+from facerelight.gaussian import (
+    NotPositiveDefiniteError,
+    NumericalWarning,
+    condition_gaussian,
+    correlation_factor,
+    safe_cholesky,
+)
 from facerelight.kernels import kernel_weights, neighbour_widths
 
 

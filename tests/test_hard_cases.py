@@ -9,7 +9,13 @@ import torch
 from conftest import SIZE, shaded_people
 
 from facerelight.covariance import deviation_covariance, image_covariance, light_terms
-from facerelight.gaussian import NotPositiveDefiniteError, NumericalWarning, condition_gaussian, positive_variance, safe_cholesky
+from facerelight.gaussian import (
+    NotPositiveDefiniteError,
+    NumericalWarning,
+    condition_gaussian,
+    positive_variance,
+    safe_cholesky,
+)
 from facerelight.illumination import KernelIlluminationEstimator
 from facerelight.kernels import kernel_weights
 from facerelight.lights import even_hemisphere, light_from_angles, thesis_grid
@@ -36,7 +42,14 @@ def case(name: str, promise: str) -> Callable:
 class World:
     """A relighter of one covariance model and dtype, its people and lights, and a reference in float64."""
 
-    def __init__(self, statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str, dtype: torch.dtype) -> None:
+    def __init__(
+        self,
+        statistics: FaceStatistics,
+        people: torch.Tensor,
+        lights: torch.Tensor,
+        covariance: str,
+        dtype: torch.dtype,
+    ) -> None:
         estimator = KernelIlluminationEstimator.fit(people[:12], lights)
         self.relighter = StatisticalRelighter(copy.deepcopy(statistics), covariance, copy.deepcopy(estimator)).to(dtype)
         self.exact = StatisticalRelighter(copy.deepcopy(statistics), covariance, estimator).double()
@@ -52,7 +65,9 @@ class World:
 
 
 @pytest.fixture(scope="module", params=MODELS, ids=[f"{m}-{str(d)[6:]}" for m, d in MODELS])
-def world(request: pytest.FixtureRequest, statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> World:
+def world(
+    request: pytest.FixtureRequest, statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> World:
     return World(statistics, people, lights, *request.param)
 
 
@@ -194,7 +209,10 @@ def poles(w: World) -> None:
     assert (out.mean[0, 0] - out.mean[0, 2]).abs().max() < 1e-5
 
 
-@case("lights in the image plane and behind the face", "finite, variance at least that near the bootstrap lights' edge, no error")
+@case(
+    "lights in the image plane and behind the face",
+    "finite, variance at least that near the bootstrap lights' edge, no error",
+)
 def behind(w: World) -> None:
     targets = torch.stack([light_from_angles(a, 0.0) for a in (90.0, -90.0, 120.0, 180.0)]).to(w.dtype)
     out = w.relight(w.people[12, :1], w.lights[:1], targets)
@@ -241,7 +259,9 @@ def degenerate_error(w: World) -> None:
     drawn = estimator.sample(image, 8)
     assert torch.allclose(drawn, estimator(image).direction[:, None].expand_as(drawn), atol=1e-5)
     estimator.error_factor[0, 0] = 0.3
-    assert torch.isfinite(StatisticalRelighter(w.relighter.statistics, w.covariance, estimator)(image, w.lights[:1], draws=8).mean).all()
+    assert torch.isfinite(
+        StatisticalRelighter(w.relighter.statistics, w.covariance, estimator)(image, w.lights[:1], draws=8).mean
+    ).all()
 
 
 @case("MLE: one, two, coplanar, repeated, collinear lights", "refused: ValueError with count and condition number")
@@ -268,7 +288,9 @@ def fitted(w: World, images: torch.Tensor, lights: torch.Tensor, **options) -> t
     """Relit image and finiteness of a fit to an odd bootstrap."""
     face = {"face_rank": 3} if w.covariance == "face" else {}
     statistics = FaceStatistics.fit(images.float(), lights.float(), **{"rank": 4, **face, **options}).to(w.dtype)
-    out = StatisticalRelighter(statistics, w.covariance)(w.people[12:13, :1], w.lights[9:10], source_lights=w.lights[:1])
+    out = StatisticalRelighter(statistics, w.covariance)(
+        w.people[12:13, :1], w.lights[9:10], source_lights=w.lights[:1]
+    )
     assert torch.isfinite(out.mean).all()
     assert torch.isfinite(out.variance).all()
     assert (out.variance >= 0).all()
@@ -383,7 +405,9 @@ def factorisation(w: World) -> None:
 def scaled_covariances(w: World) -> None:
     one = torch.tensor([[1.0, 0.5], [0.5, 1.0]], dtype=torch.float64)
     for scale in (1e-30, 1e-12, 1.0, 1e12, 1e30):
-        out = condition_gaussian(torch.zeros(1), torch.zeros(1), scale * one[:1, :1], scale * one[:1, 1:], scale * one[1:, 1:], torch.ones(1))
+        out = condition_gaussian(
+            torch.zeros(1), torch.zeros(1), scale * one[:1, :1], scale * one[:1, 1:], scale * one[1:, 1:], torch.ones(1)
+        )
         assert float(out.mean) == pytest.approx(0.5)
 
 
@@ -407,7 +431,9 @@ def semidefinite(w: World) -> None:
         values = torch.linalg.eigvalsh(make(statistics, pixel, terms, terms))
         assert (values[:, 0] > -1e-12 * values[:, -1]).all()
     own = deviation_covariance(statistics, pixel, terms, terms).diagonal(dim1=1, dim2=2).T
-    assert torch.allclose(own, terms.std.double().square() + terms.lost.double().square(), rtol=1e-4)  # the correlation's diagonal is 1
+    assert torch.allclose(
+        own, terms.std.double().square() + terms.lost.double().square(), rtol=1e-4
+    )  # the correlation's diagonal is 1
 
 
 # ---- recognition
@@ -432,7 +458,11 @@ def few_exemplars(w: World) -> None:
 
 @case("an empty gallery, NaN exemplars, one label too few", "refused: ValueError")
 def bad_galleries(w: World) -> None:
-    for images, labels in ((torch.rand(0, 8, 8), []), (torch.full((2, 8, 8), torch.nan), ["a", "b"]), (torch.rand(2, 8, 8), ["a"])):
+    for images, labels in (
+        (torch.rand(0, 8, 8), []),
+        (torch.full((2, 8, 8), torch.nan), ["a", "b"]),
+        (torch.rand(2, 8, 8), ["a"]),
+    ):
         with pytest.raises(ValueError, match="expected"):
             IndividualPCAClassifier().fit(images.to(w.dtype), labels)
 
@@ -455,7 +485,11 @@ def _plain_weights(squared: torch.Tensor, width: torch.Tensor | float) -> torch.
 MUTATIONS = {
     "jitter": ("facerelight.gaussian.JITTER_STEPS", (), "singular, indefinite and NaN covariances"),
     "log-space kernel": ("test_hard_cases.kernel_weights", _plain_weights, "kernel weights that all underflow"),
-    "completion of the correlation": ("test_hard_cases.light_terms", None, "covariances over 60 lights, half of them 1e-6 rad from the others"),
+    "completion of the correlation": (
+        "test_hard_cases.light_terms",
+        None,
+        "covariances over 60 lights, half of them 1e-6 rad from the others",
+    ),
     "measurement variance": ("facerelight.covariance.MEASUREMENT", 0.0, "two lights 1e-1 to 1e-8 rad apart"),
 }
 

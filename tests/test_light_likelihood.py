@@ -12,18 +12,24 @@ from facerelight.statistics import FaceStatistics
 
 
 @pytest.fixture(scope="module")
-def estimator(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> LikelihoodIlluminationEstimator:
+def estimator(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> LikelihoodIlluminationEstimator:
     return LikelihoodIlluminationEstimator(statistics, count=120).calibrate(people[12:], lights)
 
 
-def test_likelihood_is_that_of_a_dense_gaussian(estimator: LikelihoodIlluminationEstimator, people: torch.Tensor) -> None:
+def test_likelihood_is_that_of_a_dense_gaussian(
+    estimator: LikelihoodIlluminationEstimator, people: torch.Tensor
+) -> None:
     """``N(g mean, g^2 D (I + A A^T / T) D)`` at the fitted gain, written out; differences over the grid within 1e-3 of log likelihood."""
     image = people[13, 7]
     ours = estimator.log_likelihood(image[None])[0]
     y = image.flatten()[estimator.places].double()
     temper = max(1.0, 100 / 8064 * len(y))
     dense = []
-    for mean, std, white in zip(estimator.mean.double(), estimator.std.double(), estimator.loadings.double(), strict=True):
+    for mean, std, white in zip(
+        estimator.mean.double(), estimator.std.double(), estimator.loadings.double(), strict=True
+    ):
         gain = ((y / std) @ (mean / std)) / (mean / std).square().sum()
         gain = gain.clamp_min(1e-3)
         root = gain * std
@@ -57,7 +63,9 @@ def test_true_lights_lie_where_the_samples_do(estimator: LikelihoodIlluminationE
     assert 0.75 <= float(inside.float().mean()) <= 1
 
 
-def test_samples_repeat_and_follow_the_posterior(estimator: LikelihoodIlluminationEstimator, people: torch.Tensor) -> None:
+def test_samples_repeat_and_follow_the_posterior(
+    estimator: LikelihoodIlluminationEstimator, people: torch.Tensor
+) -> None:
     image = people[14:15, 5:6]
     a, b = estimator.sample(image, 256), estimator.sample(image, 256)
     assert torch.equal(a, b)
@@ -68,7 +76,9 @@ def test_samples_repeat_and_follow_the_posterior(estimator: LikelihoodIlluminati
     assert angular_distance(torch.nn.functional.normalize(free[0, :, 0].mean(0), dim=0), expected) < 3
 
 
-def test_black_image_has_no_light_and_masked_pixels_do_not_count(estimator: LikelihoodIlluminationEstimator, people: torch.Tensor) -> None:
+def test_black_image_has_no_light_and_masked_pixels_do_not_count(
+    estimator: LikelihoodIlluminationEstimator, people: torch.Tensor
+) -> None:
     black = torch.zeros(1, 1, 24, 21)
     assert torch.equal(estimator(black).direction, torch.zeros(1, 1, 3))
     assert torch.equal(estimator.sample(black, 4), torch.zeros(1, 4, 1, 3))

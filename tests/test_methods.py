@@ -15,7 +15,9 @@ from facerelight.relighter import StatisticalRelighter
 from facerelight.statistics import FaceStatistics
 
 
-def draw_images(statistics: FaceStatistics, lights: torch.Tensor, count: int, seed: int, normal: bool = True) -> torch.Tensor:
+def draw_images(
+    statistics: FaceStatistics, lights: torch.Tensor, count: int, seed: int, normal: bool = True
+) -> torch.Tensor:
     """Images of ``count`` people from the model itself, ``(count, K, P)`` float64: the properties hold for them exactly in expectation."""
     terms = light_terms(statistics, statistics.pixel, lights)
     make = image_covariance if normal else deviation_covariance
@@ -33,8 +35,12 @@ def test_mode_of_one_gaussian_is_its_mean_and_of_a_mixture_its_highest_peak() ->
     assert (mixture_mode(means, narrow) - means[0]).abs().max() < 0.5 / 255
     two = torch.tensor([[0.2], [0.8]])
     assert mixture_mode(two, torch.tensor([[1e-4], [1e-2]])).item() == pytest.approx(0.2, abs=1 / 255)
-    assert mixture_mode(two, torch.tensor([[1e-4], [1e-2]]), torch.tensor([0.001, 0.999])).item() == pytest.approx(0.8, abs=1 / 255)
-    assert mixture_mode(two, torch.zeros(2, 1), torch.tensor([0.4, 0.6])).item() == pytest.approx(0.8, abs=1 / 255)  # no variance at all
+    assert mixture_mode(two, torch.tensor([[1e-4], [1e-2]]), torch.tensor([0.001, 0.999])).item() == pytest.approx(
+        0.8, abs=1 / 255
+    )
+    assert mixture_mode(two, torch.zeros(2, 1), torch.tensor([0.4, 0.6])).item() == pytest.approx(
+        0.8, abs=1 / 255
+    )  # no variance at all
     assert 0 <= mixture_mode(torch.tensor([[50.0]]), torch.tensor([[1e-6]])).item() <= 1  # every density underflows
 
 
@@ -64,7 +70,9 @@ def test_map_equals_expected_where_lights_are_known_and_differs_where_not(
     statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
 ) -> None:
     relighter = StatisticalRelighter(statistics, estimator=KernelIlluminationEstimator.fit(people[:12], lights))
-    known = [relighter(people[12:13, :1], lights[5:6], source_lights=lights[:1], method=m).mean for m in ("expected", "map")]
+    known = [
+        relighter(people[12:13, :1], lights[5:6], source_lights=lights[:1], method=m).mean for m in ("expected", "map")
+    ]
     assert torch.equal(*known)
     unknown = [relighter(people[12:13, 3:4], lights[5:6], method=m, draws=8).mean for m in ("expected", "map")]
     assert 0 < (unknown[0] - unknown[1]).abs().mean() < 0.05
@@ -75,7 +83,9 @@ def test_map_equals_expected_where_lights_are_known_and_differs_where_not(
 
 
 @pytest.mark.parametrize("inputs", [1, 2])
-def test_quasi_random_lights_converge_faster(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, inputs: int) -> None:
+def test_quasi_random_lights_converge_faster(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, inputs: int
+) -> None:
     estimator = KernelIlluminationEstimator.fit(people[:12], lights)
     relighter = StatisticalRelighter(statistics, estimator=estimator)
     image = people[12:13, 3 : 3 + inputs]
@@ -87,7 +97,11 @@ def test_quasi_random_lights_converge_faster(statistics: FaceStatistics, people:
     quasi = (mean(estimator.sample(image, 32)) - converged).square().mean().sqrt()
     seeds = [torch.Generator().manual_seed(s) for s in range(6)]
     independent = (
-        torch.stack([(mean(estimator.sample(image, 512, g, independent=True)) - converged).square().mean() for g in seeds]).mean().sqrt()
+        torch.stack(
+            [(mean(estimator.sample(image, 512, g, independent=True)) - converged).square().mean() for g in seeds]
+        )
+        .mean()
+        .sqrt()
     )
     assert quasi < independent
 
@@ -99,7 +113,9 @@ def test_mle_equals_a_slow_reference(statistics: FaceStatistics, lights: torch.T
     """(3.19), (3.20) and the kriging variance, per pixel in float64 NumPy."""
     sources, target = lights[[0, 4, 9, 15]], light_from_angles(20.0, 10.0)
     images = draw_images(statistics, sources, 1, 0)[0]
-    out = StatisticalRelighter(statistics)(images.float().view(1, 4, 24, 21), target[None], source_lights=sources, method="mle")
+    out = StatisticalRelighter(statistics)(
+        images.float().view(1, 4, 24, 21), target[None], source_lights=sources, method="mle"
+    )
     for y, x in ((0, 0), (11, 7), (23, 20)):
         pixel = reference.Pixel(statistics, y, x)
         s, s0 = sources.double().numpy(), target.double().numpy()
@@ -120,7 +136,9 @@ def test_mle_equals_a_slow_reference(statistics: FaceStatistics, lights: torch.T
         assert abs(float(out.variance[0, 0, y, x]) - variance) < 2e-5
 
 
-def test_mle_is_consistent_and_continuous(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_mle_is_consistent_and_continuous(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     relighter = StatisticalRelighter(statistics)
     sources = lights[[0, 4, 9, 15]]
     images = people[12:13, [0, 4, 9, 15]]
@@ -136,7 +154,9 @@ def test_mle_wants_three_independent_lights(statistics: FaceStatistics, angles: 
     """One, two, coplanar and repeated lights."""
     sources = torch.stack([light_from_angles(float(a), float(e)) for a, e in angles])
     with pytest.raises(ValueError, match=rf"got {len(angles)} with condition number"):
-        StatisticalRelighter(statistics)(torch.rand(1, len(angles), 24, 21), sources[:1], source_lights=sources, method="mle")
+        StatisticalRelighter(statistics)(
+            torch.rand(1, len(angles), 24, 21), sources[:1], source_lights=sources, method="mle"
+        )
 
 
 def test_methods_that_cannot_serve_say_so(statistics: FaceStatistics, lights: torch.Tensor) -> None:
@@ -163,7 +183,12 @@ def test_one_image_at_a_time_equals_all_at_once(statistics: FaceStatistics, ligh
         before = x.variance
         zero = torch.zeros(len(joint), 1)
         batch = condition_gaussian(
-            zero, torch.zeros(k), joint[:, :1, :1], joint[:, :1, 1 : k + 1], joint[:, 1 : k + 1, 1 : k + 1], residual[:, :k]
+            zero,
+            torch.zeros(k),
+            joint[:, :1, :1],
+            joint[:, :1, 1 : k + 1],
+            joint[:, 1 : k + 1, 1 : k + 1],
+            residual[:, :k],
         )
         assert torch.allclose(x.mean, batch.mean[:, 0], atol=1e-9)
         assert torch.allclose(x.variance, batch.covariance[:, 0, 0], atol=1e-12)
@@ -172,10 +197,16 @@ def test_one_image_at_a_time_equals_all_at_once(statistics: FaceStatistics, ligh
 # ---- tables 3.1 and 3.2
 
 
-@pytest.mark.parametrize(("method", "inputs"), [*(("expected", k) for k in (1, 2, 3, 5, 10, 21)), *(("mle", k) for k in (3, 5, 10, 21))])
-def test_parsimony(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, method: str, inputs: int) -> None:
+@pytest.mark.parametrize(
+    ("method", "inputs"), [*(("expected", k) for k in (1, 2, 3, 5, 10, 21)), *(("mle", k) for k in (3, 5, 10, 21))]
+)
+def test_parsimony(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, method: str, inputs: int
+) -> None:
     """Any number of inputs will do; from three on for the MLE case, which refuses fewer (above)."""
-    out = StatisticalRelighter(statistics)(people[12:13, :inputs], lights[25:26], source_lights=lights[:inputs], method=method)
+    out = StatisticalRelighter(statistics)(
+        people[12:13, :inputs], lights[25:26], source_lights=lights[:inputs], method=method
+    )
     assert torch.isfinite(out.mean).all()
     assert (out.variance >= 0).all()
 
@@ -214,9 +245,13 @@ def test_mle_is_progressive(statistics: FaceStatistics, lights: torch.Tensor) ->
         before, variance = covariance, out
 
 
-def test_map_of_n_is_biased_for_one_person_and_better_on_average(statistics: FaceStatistics, lights: torch.Tensor) -> None:
+def test_map_of_n_is_biased_for_one_person_and_better_on_average(
+    statistics: FaceStatistics, lights: torch.Tensor
+) -> None:
     """Lemma 9: for a fixed person the known-light estimate is pulled to the mean face; over people its mean square error falls with K."""
-    person = statistics.n_mean.flatten(1) + 2 * torch.einsum("dcp,c->dp", statistics.pixel.n_factor.flatten(2), torch.ones(3))
+    person = statistics.n_mean.flatten(1) + 2 * torch.einsum(
+        "dcp,c->dp", statistics.pixel.n_factor.flatten(2), torch.ones(3)
+    )
     relighter = StatisticalRelighter(statistics)
     target = lights[20:21]
     errors = []
@@ -224,14 +259,18 @@ def test_map_of_n_is_biased_for_one_person_and_better_on_average(statistics: Fac
         deviation = draw_images(statistics, torch.cat((target, lights[:inputs])), 400, 3, normal=False)
         average = torch.cat((target, lights[:inputs])) @ statistics.n_mean.flatten(1)
         images = deviation - average + torch.cat((target, lights[:inputs])) @ person  # n held fixed, v drawn
-        made = relighter(images[:, 1:].float().unflatten(-1, (24, 21)), target, source_lights=lights[:inputs]).mean.flatten(1)
+        made = relighter(
+            images[:, 1:].float().unflatten(-1, (24, 21)), target, source_lights=lights[:inputs]
+        ).mean.flatten(1)
         error = images[:, 0] - made
         errors.append(float(error.mean(0).abs().mean()))
         assert (error.mean(0).abs() / (error.std(0) / 20)).median() > 4  # not zero on average: not Progressive
     images = draw_images(statistics, torch.cat((target, lights[:8])), 400, 4)
     square = []
     for inputs in (1, 2, 4, 8):
-        made = relighter(images[:, 1 : inputs + 1].float().unflatten(-1, (24, 21)), target, source_lights=lights[:inputs]).mean.flatten(1)
+        made = relighter(
+            images[:, 1 : inputs + 1].float().unflatten(-1, (24, 21)), target, source_lights=lights[:inputs]
+        ).mean.flatten(1)
         square.append(float((images[:, 0] - made).square().mean()))
     assert square == sorted(square, reverse=True)
 

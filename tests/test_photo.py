@@ -9,8 +9,8 @@ from PIL import Image
 from facerelight.cli import main
 from facerelight.illumination import fit_soft_light
 from facerelight.photo import PhotoRelighter, relight
-from facerelight.photo.files import read_photo, write_photo
-from facerelight.photo.landmarks import LandmarksNotFoundError, find_landmarks
+from facerelight.photo.faces.landmarks import LandmarksNotFoundError, find_landmarks
+from facerelight.photo.files.disk import read_photo, write_photo
 from facerelight.relighter import StatisticalRelighter
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
@@ -91,7 +91,21 @@ def test_command_line(folder: Path, astronaut: np.ndarray, tmp_path, capsys) -> 
     out = tmp_path / "relit.jpg"
     marks = ",".join(str(v) for point in MARKS for v in point)
     common = ["relight", str(photo), "--statistics", str(folder), "--landmarks", marks]
-    code = main([*common, "--azimuth", "-60", "60", "--elevation", "20", "--output", str(out), "--variance", str(tmp_path / "v.png"), "--json"])
+    code = main(
+        [
+            *common,
+            "--azimuth",
+            "-60",
+            "60",
+            "--elevation",
+            "20",
+            "--output",
+            str(out),
+            "--variance",
+            str(tmp_path / "v.png"),
+            "--json",
+        ]
+    )
     assert code == 0
     report = json.loads(capsys.readouterr().out)
     assert [Path(p).name for p in report["output"]] == ["relit_-60_+20.jpg", "relit_+60_+20.jpg", "v.png"]
@@ -110,9 +124,16 @@ def test_methods_from_the_command_line(folder: Path, astronaut: np.ndarray, tmp_
     marks = ",".join(str(v) for point in MARKS for v in point)
     common = ["--statistics", str(folder), "--landmarks", marks, "--azimuth", "30", "--json", "--output"]
     results = {}
-    for name, paths in (("expected", everybody[:1]), ("map", everybody[:1]), ("mle", everybody), ("evidence", everybody[:2])):
+    for name, paths in (
+        ("expected", everybody[:1]),
+        ("map", everybody[:1]),
+        ("mle", everybody),
+        ("evidence", everybody[:2]),
+    ):
         method = "expected" if name == "evidence" else name
-        assert main(["relight", *paths, "--same-person", "--method", method, *common, str(tmp_path / f"{name}.png")]) == 0
+        assert (
+            main(["relight", *paths, "--same-person", "--method", method, *common, str(tmp_path / f"{name}.png")]) == 0
+        )
         assert json.loads(capsys.readouterr().out)["method"] == method
         results[name] = read_photo(tmp_path / f"{name}.png").rgb
     for name in ("map", "mle", "evidence"):
@@ -144,7 +165,18 @@ def test_bad_command_lines_exit_with_2(arguments: list[str], capsys, tmp_path, m
 
 
 def test_training_goes_on_where_it_stopped(folder: Path, tmp_path) -> None:
-    arguments = ["train", "--config", str(CONFIG), "--heads", "3", "--fit.face_rank", "0", "--workers", "0", "--keep-images"]
+    arguments = [
+        "train",
+        "--config",
+        str(CONFIG),
+        "--heads",
+        "3",
+        "--fit.face_rank",
+        "0",
+        "--workers",
+        "0",
+        "--keep-images",
+    ]
     assert main([*arguments, "--output", str(tmp_path)]) == 0
     image = tmp_path / "images" / "subject_000001.npy"
     stamp = image.stat().st_mtime_ns

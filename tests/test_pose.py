@@ -49,7 +49,10 @@ def test_the_whole_face_carries_identity_across_poses(posed: BootstrapViews, str
     images = torch.stack([strangers.images(view) for view in INPUTS], 1)
     target = View(-52.0)
     truth, average = strangers.images(target), posed.images(target).mean(0)
-    errors = [float((ViewRelighter(posed, rank, 30.0)(images, INPUTS, target).mean - truth).square().mean()) for rank in (0, 6)]
+    errors = [
+        float((ViewRelighter(posed, rank, 30.0)(images, INPUTS, target).mean - truth).square().mean())
+        for rank in (0, 6)
+    ]
     assert errors[1] < errors[0] < float((average - truth).square().mean())
     assert ViewRelighter(posed, 6)(images, INPUTS, target).code.shape == (2, 6)
 
@@ -76,7 +79,9 @@ def test_an_expression_is_one_more_viewing_parameter(posed: BootstrapViews, stra
     assert (truth - strangers.images(View())).abs().mean() > 0.003
     relighter = ViewRelighter(posed, 6, 30.0)
     right = float((relighter(images, [seen], wanted).mean - truth).square().mean())
-    wrong = float((relighter(images, [replace(seen, expression=())], replace(wanted, expression=())).mean - truth).square().mean())
+    wrong = float(
+        (relighter(images, [replace(seen, expression=())], replace(wanted, expression=())).mean - truth).square().mean()
+    )
     assert right < wrong
 
 

@@ -22,7 +22,9 @@ MIRROR = torch.tensor([-1.0, 1.0, 1.0])
 
 def random_lights(count: int, seed: int) -> torch.Tensor:
     lights = torch.randn(count, 3, generator=torch.Generator().manual_seed(seed))
-    return torch.nn.functional.normalize(lights * torch.tensor([1.0, 1.0, 0.0]) + lights[:, 2:].abs() * torch.tensor([0.0, 0.0, 1.0]), dim=-1)
+    return torch.nn.functional.normalize(
+        lights * torch.tensor([1.0, 1.0, 0.0]) + lights[:, 2:].abs() * torch.tensor([0.0, 0.0, 1.0]), dim=-1
+    )
 
 
 @settings(max_examples=15, deadline=None)
@@ -99,7 +101,9 @@ def relighter(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Te
     return StatisticalRelighter(copy.deepcopy(statistics), "face", KernelIlluminationEstimator.fit(people[:12], lights))
 
 
-def test_the_number_of_threads_does_not_matter(relighter: StatisticalRelighter, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_the_number_of_threads_does_not_matter(
+    relighter: StatisticalRelighter, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     before = torch.get_num_threads()
     answers = []
     for threads in (1, 2, 4):

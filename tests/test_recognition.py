@@ -10,7 +10,12 @@ from facerelight.alignment import CropFrame
 from facerelight.lights import even_hemisphere
 from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures, find_model
 from facerelight.recognition.class_conditional import GaussianClassifier
-from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier, SumClassifier
+from facerelight.recognition.classifiers import (
+    GlobalPCAClassifier,
+    IndividualPCAClassifier,
+    NearestNeighborClassifier,
+    SumClassifier,
+)
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
 from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
@@ -91,7 +96,9 @@ def test_individual_pca_equals_scikit_learn() -> None:
         pca = PCA(3, svd_solver="full").fit(rows)
         x = probes.flatten(1).double().numpy()
         error = ((x - pca.inverse_transform(pca.transform(x))) ** 2).sum(1)
-        assert torch.allclose(classifier.reconstruction_error(probes)[:, index].double(), torch.from_numpy(error), rtol=1e-3)
+        assert torch.allclose(
+            classifier.reconstruction_error(probes)[:, index].double(), torch.from_numpy(error), rtol=1e-3
+        )
 
 
 def test_cosine_of_individual_subspaces() -> None:
@@ -151,7 +158,9 @@ def test_incremental_svd_over_10000_updates_with_duplicates() -> None:
         space.add(torch.full((60,), torch.nan))
 
 
-def test_direct_subspace_equals_that_of_the_synthesised_images(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_direct_subspace_equals_that_of_the_synthesised_images(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     """(6.1) with covariance interpolation: w(s)^T (sigma b) in place of sigma(s) w(s)^T b, the same nodes and weights."""
     posterior = StatisticalRelighter(statistics, "face").condition(people[12:13, :1], lights[:1])
     nodes, weights = exemplar_lights("hemisphere")
@@ -163,10 +172,14 @@ def test_direct_subspace_equals_that_of_the_synthesised_images(statistics: FaceS
     assert principal_angles(direct.basis, explicit.basis).max() < 0.1
     assert torch.allclose(direct.mean.double(), explicit.mean, atol=1e-5)
     rendered = principal_subspace(synthesize(posterior, nodes)[0].flatten(1), 4, weights=weights)
-    assert principal_angles(direct.basis[:, :4], rendered.basis).max() < 25  # the default model interpolates correlations
+    assert (
+        principal_angles(direct.basis[:, :4], rendered.basis).max() < 25
+    )  # the default model interpolates correlations
 
 
-def test_synthesis_recognises_people_under_any_light(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_synthesis_recognises_people_under_any_light(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     gallery, names = people[12:], ["a", "b", "c", "d"]
     posterior = StatisticalRelighter(statistics, "face").condition(gallery[:, :1], lights[:1])
     exemplars = synthesize(posterior, even_hemisphere(40)).flatten(0, 1)
@@ -177,11 +190,16 @@ def test_synthesis_recognises_people_under_any_light(statistics: FaceStatistics,
     assert relit > single + 0.1
 
 
-@pytest.mark.parametrize("normalizer", [TanTriggs(), WeberFaces(), WeberFaces(sigma=0.5)], ids=["tan_triggs", "weber", "weber_fine"])
+@pytest.mark.parametrize(
+    "normalizer", [TanTriggs(), WeberFaces(), WeberFaces(sigma=0.5)], ids=["tan_triggs", "weber", "weber_fine"]
+)
 def test_photometric_normalisation_forgets_brightness(normalizer: torch.nn.Module) -> None:
     images = torch.rand(3, 40, 36, generator=torch.Generator().manual_seed(0)) * 0.5 + 0.2
     ramp = torch.linspace(0.7, 1.3, 36)
-    before = (images / images.norm(dim=(1, 2), keepdim=True) - (images * ramp) / (images * ramp).norm(dim=(1, 2), keepdim=True)).norm()
+    before = (
+        images / images.norm(dim=(1, 2), keepdim=True)
+        - (images * ramp) / (images * ramp).norm(dim=(1, 2), keepdim=True)
+    ).norm()
     after = (normalizer(images) - normalizer(images * ramp)).norm()
     assert after < before
     assert torch.isfinite(normalizer(torch.zeros(1, 40, 36))).all()
@@ -209,7 +227,9 @@ def test_what_lies_outside_the_mask_does_not_matter() -> None:
 def blobs(seed: int, people: int = 4, each: int = 12) -> tuple[torch.Tensor, list[int]]:
     """Images of people, each with two modes, as smooth random patterns."""
     generator = torch.Generator().manual_seed(seed)
-    centres = torch.nn.functional.interpolate(torch.rand(2 * people, 1, 4, 4, generator=generator), (12, 10), mode="bilinear")[:, 0]
+    centres = torch.nn.functional.interpolate(
+        torch.rand(2 * people, 1, 4, 4, generator=generator), (12, 10), mode="bilinear"
+    )[:, 0]
     images = centres.repeat_interleave(each // 2, 0) + 0.02 * torch.randn(people * each, 12, 10, generator=generator)
     return images, [person for person in range(people) for _ in range(each)]
 
@@ -222,7 +242,10 @@ def test_gaussian_scores_are_log_densities() -> None:
     for person in range(4):
         basis, spread = classifier.bases[person].double(), classifier.spread[person].double()
         covariance = basis * spread @ basis.T + float(classifier.floor[person]) * torch.eye(120, dtype=torch.float64)
-        exact = multivariate_normal(classifier.means[person].double(), covariance).logpdf(images[::5].flatten(1).double()) / 120
+        exact = (
+            multivariate_normal(classifier.means[person].double(), covariance).logpdf(images[::5].flatten(1).double())
+            / 120
+        )
         assert np.abs(scores[:, person].numpy() - exact).max() < 1e-3 * max(1, np.abs(exact).max())
 
 
@@ -232,9 +255,14 @@ def test_a_mixture_knows_two_modes() -> None:
     assert len(mixture.owner) == 8
     assert mixture.score(images, labels) == 1.0
     between = (images[0] + images[-1 + 12]) / 2  # nobody looks like the middle of two modes
-    gap = [float(c.decision_function(images[:1]).max() - c.decision_function(between[None]).max()) for c in (single, mixture)]
+    gap = [
+        float(c.decision_function(images[:1]).max() - c.decision_function(between[None]).max())
+        for c in (single, mixture)
+    ]
     assert gap[1] > gap[0]
-    assert len(GaussianClassifier(5, 2).fit(images[:4], [0, 0, 1, 1]).owner) == 2  # too few exemplars for five components
+    assert (
+        len(GaussianClassifier(5, 2).fit(images[:4], [0, 0, 1, 1]).owner) == 2
+    )  # too few exemplars for five components
     with pytest.raises(ValueError, match="noise > 0"):
         GaussianClassifier(noise=0)
 
@@ -292,11 +320,22 @@ def test_sface_features_tell_crops_apart() -> None:
     crops = torch.rand(3, 96, 84)
     features = SFaceFeatures(CropFrame(96, 84))(crops)
     assert features.shape == (3, 1, 128)
-    assert NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(96, 84))).fit(crops, [0, 1, 2]).score(crops, [0, 1, 2]) == 1.0
+    assert (
+        NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(96, 84)))
+        .fit(crops, [0, 1, 2])
+        .score(crops, [0, 1, 2])
+        == 1.0
+    )
 
 
 @pytest.mark.parametrize(
-    "make", [IndividualPCAClassifier, GlobalPCAClassifier, NearestNeighborClassifier, functools.partial(GaussianClassifier, 2, 2, 1e-3)]
+    "make",
+    [
+        IndividualPCAClassifier,
+        GlobalPCAClassifier,
+        NearestNeighborClassifier,
+        functools.partial(GaussianClassifier, 2, 2, 1e-3),
+    ],
 )
 def test_fit_finds_the_threshold_for_strangers(make) -> None:
     """Known people's new images pass, images of people who were not enrolled do not, each with few exceptions."""
@@ -329,7 +368,9 @@ def test_k_nearest_neighbours_vote_as_in_scikit_learn() -> None:
         ours = NearestNeighborClassifier(neighbors=k).fit(images, labels).predict(probes)
         theirs = neighbours.KNeighborsClassifier(k).fit(images.flatten(1).numpy(), labels)
         votes = theirs.predict_proba(probes.flatten(1).numpy())
-        clear = [i for i, row in enumerate(votes) if (row == row.max()).sum() == 1]  # scikit-learn breaks ties by label, we by distance
+        clear = [
+            i for i, row in enumerate(votes) if (row == row.max()).sum() == 1
+        ]  # scikit-learn breaks ties by label, we by distance
         assert len(clear) > 100
         assert [ours[i] for i in clear] == [int(votes[i].argmax()) for i in clear]
     with pytest.raises(ValueError, match="neighbors"):

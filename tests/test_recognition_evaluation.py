@@ -28,7 +28,13 @@ def faces(people: torch.Tensor, lights: torch.Tensor) -> FaceImages:
     subject, light = grid[0][there], grid[1][there]
     angles = torch.zeros(several, 2)
     return FaceImages(
-        images.flatten(0, 1)[there], subject, light, lights[::4][:several], angles, torch.ones_like(subject), [str(i) for i in range(count)]
+        images.flatten(0, 1)[there],
+        subject,
+        light,
+        lights[::4][:several],
+        angles,
+        torch.ones_like(subject),
+        [str(i) for i in range(count)],
     )
 
 
@@ -40,16 +46,23 @@ def test_enrolling_once_equals_fitting_every_gallery(faces: FaceImages, statisti
     how = Enrolment(shift=1)
     tallies = evaluate_galleries(faces, galleries, relighter, NAMES, how)
     for index, gallery in enumerate(galleries):
-        photos = torch.stack([faces.images[(faces.subject == person) & (faces.light == light)][0] for person, light in gallery.items()])
+        photos = torch.stack(
+            [faces.images[(faces.subject == person) & (faces.light == light)][0] for person, light in gallery.items()]
+        )
         given = torch.stack([faces.lights[light][None] for light in gallery.values()])
         relit = synthesize(relighter.condition(photos[:, None], given), exemplar_lights()[0])
         for name in NAMES:
             tally = tallies[name][index]
             classifier = fit_classifier(name, GalleryImages(photos, list(gallery), relit, how.shift))
             probes = [
-                i for i in range(len(faces.images)) if int(faces.subject[i]) in gallery and gallery[int(faces.subject[i])] != int(faces.light[i])
+                i
+                for i in range(len(faces.images))
+                if int(faces.subject[i]) in gallery and gallery[int(faces.subject[i])] != int(faces.light[i])
             ]
-            right = [found == int(faces.subject[i]) for i, found in zip(probes, classifier.predict(faces.images[probes]), strict=True)]
+            right = [
+                found == int(faces.subject[i])
+                for i, found in zip(probes, classifier.predict(faces.images[probes]), strict=True)
+            ]
             assert tally.right.tolist() == right, name
             assert tally.seconds > 0
 

@@ -29,7 +29,9 @@ def samples(people: torch.Tensor) -> torch.Tensor:
 
 def test_shrinkage_equals_scikit_learn() -> None:
     generator = torch.Generator().manual_seed(0)
-    batch = torch.randn(3, 15, 6, generator=generator, dtype=torch.float64) @ torch.randn(6, 6, generator=generator, dtype=torch.float64)
+    batch = torch.randn(3, 15, 6, generator=generator, dtype=torch.float64) @ torch.randn(
+        6, 6, generator=generator, dtype=torch.float64
+    )
     for ours, theirs in ((ledoit_wolf, sklearn_ledoit_wolf), (oas, sklearn_oas)):
         for one, all_at_once in zip(batch, ours(batch), strict=True):
             assert np.allclose(all_at_once.numpy(), theirs(one.numpy(), assume_centered=True)[0], atol=1e-10)
@@ -67,8 +69,12 @@ def test_algorithm_3_partitions_and_is_deterministic(samples: torch.Tensor) -> N
 def test_one_pixel_a_group_is_the_single_pixel_model(people: torch.Tensor, lights: torch.Tensor, inputs: int) -> None:
     statistics = FaceStatistics.fit(people[:12], lights, rank=29)  # a factor of full rank, as the fields have
     regions = make_regions([torch.tensor([p]) for p in range(PIXELS)])
-    group = GroupRelighter(LightViews(statistics), regions)(people[13:15, :inputs], lights[:inputs], light_from_angles(12.0, 5.0))
-    single = StatisticalRelighter(statistics)(people[13:15, :inputs], light_from_angles(12.0, 5.0)[None], source_lights=lights[:inputs])
+    group = GroupRelighter(LightViews(statistics), regions)(
+        people[13:15, :inputs], lights[:inputs], light_from_angles(12.0, 5.0)
+    )
+    single = StatisticalRelighter(statistics)(
+        people[13:15, :inputs], light_from_angles(12.0, 5.0)[None], source_lights=lights[:inputs]
+    )
     assert torch.allclose(group.mean, single.mean[:, 0], atol=2e-6)
     assert torch.allclose(group.variance, single.variance[:, 0], atol=1e-6)
 
@@ -77,7 +83,9 @@ def test_groups_equal_a_slow_reference(views: LightViews, people: torch.Tensor, 
     """(5.6) written out for one group of three pixels and two inputs, in float64 NumPy."""
     group = torch.tensor([100, 101, 250])
     rest = torch.tensor([p for p in range(PIXELS) if p not in group.tolist()])
-    out = GroupRelighter(views, make_regions([group, *rest[:, None]]), "sample")(people[13:14, :2], lights[:2], lights[7])
+    out = GroupRelighter(views, make_regions([group, *rest[:, None]]), "sample")(
+        people[13:14, :2], lights[:2], lights[7]
+    )
     known = views.fields([lights[7], *lights[:2]])
     fields = known.fields.double().numpy()[..., group.numpy()]  # (2, 3, N, 3)
     local = known.local.double().numpy()[..., group.numpy()]
@@ -96,7 +104,9 @@ def test_groups_equal_a_slow_reference(views: LightViews, people: torch.Tensor, 
 
 
 @pytest.mark.parametrize("kind", ["sample", "block"])
-def test_groups_are_consistent(views: LightViews, samples: torch.Tensor, people: torch.Tensor, lights: torch.Tensor, kind: str) -> None:
+def test_groups_are_consistent(
+    views: LightViews, samples: torch.Tensor, people: torch.Tensor, lights: torch.Tensor, kind: str
+) -> None:
     relighter = GroupRelighter(views, make_regions(group_by_correlation(samples, 5)), kind)  # type: ignore[arg-type]
     out = relighter(people[13:14, :2], lights[:2], lights[1])
     assert (out.mean - people[13, 1]).abs().max() < 0.5 / 255
@@ -107,11 +117,24 @@ def test_groups_are_consistent(views: LightViews, samples: torch.Tensor, people:
 @pytest.mark.parametrize(("r_out", "r_in"), [(1, 1), (4, 4), (1, 5), (2, 6)])
 @pytest.mark.parametrize("inputs", [1, 3])
 def test_every_entry_of_table_5_1(
-    posed: BootstrapViews, views: LightViews, people: torch.Tensor, lights: torch.Tensor, pose: str, r_out: int, r_in: int, inputs: int
+    posed: BootstrapViews,
+    views: LightViews,
+    people: torch.Tensor,
+    lights: torch.Tensor,
+    pose: str,
+    r_out: int,
+    r_in: int,
+    inputs: int,
 ) -> None:
     """K = 1 and K > 1; r_out = r_in = 1, r_out = r_in > 1, r_out != r_in; frontal and turned: one interface."""
     if pose == "frontal":
-        source, images, given, target, truth = views, people[13:14, :inputs], list(lights[:inputs]), lights[7], people[13:14, 7]
+        source, images, given, target, truth = (
+            views,
+            people[13:14, :inputs],
+            list(lights[:inputs]),
+            lights[7],
+            people[13:14, 7],
+        )
         samples = people[:12].flatten(0, 1).flatten(1)
     else:
         source, given, target = posed, [View(), View(20.0), View(-20.0)][:inputs], View(10.0)
@@ -128,7 +151,12 @@ def test_every_entry_of_table_5_1(
 
 
 def test_bad_groups(
-    views: LightViews, samples: torch.Tensor, people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics, tmp_path
+    views: LightViews,
+    samples: torch.Tensor,
+    people: torch.Tensor,
+    lights: torch.Tensor,
+    statistics: FaceStatistics,
+    tmp_path,
 ) -> None:
     with pytest.raises(ValueError, match="at least the group's 4 pixels"):
         make_regions(group_by_correlation(samples, 4), samples, 2)

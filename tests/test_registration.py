@@ -15,7 +15,16 @@ def faces(count: int, height: int = 96, width: int = 84, seed: int = 0) -> torch
     """Eyes, brows, nose and mouth as smooth dark spots on a shaded oval, a little different in each."""
     generator = torch.Generator().manual_seed(seed)
     y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
-    spots = torch.tensor([(-0.45, -0.35, 0.15), (0.45, -0.35, 0.15), (0.0, 0.15, 0.2), (0.0, 0.5, 0.25), (-0.45, -0.6, 0.2), (0.45, -0.6, 0.2)])
+    spots = torch.tensor(
+        [
+            (-0.45, -0.35, 0.15),
+            (0.45, -0.35, 0.15),
+            (0.0, 0.15, 0.2),
+            (0.0, 0.5, 0.25),
+            (-0.45, -0.6, 0.2),
+            (0.45, -0.6, 0.2),
+        ]
+    )
     depth = 0.25 + 0.05 * torch.randn(count, len(spots), generator=generator)
     image = 0.6 - 0.2 * x**2 - 0.1 * y**2
     marks = torch.stack([torch.exp(-((x - a) ** 2 + 4 * (y - b) ** 2) / (2 * s**2)) for a, b, s in spots.tolist()])
@@ -80,7 +89,9 @@ def test_aligned_people_are_sharper_and_missing_images_do_no_harm() -> None:
         align_people(images, lights, valid)
 
 
-def test_conditioning_with_registration_returns_the_image_in_its_own_place(statistics: FaceStatistics, lights: torch.Tensor) -> None:
+def test_conditioning_with_registration_returns_the_image_in_its_own_place(
+    statistics: FaceStatistics, lights: torch.Tensor
+) -> None:
     """Consistency up to two interpolations; the black image still gives the prior mean."""
     person = shaded_people(1, lights, 5)
     for model in ("pixel", "face"):

@@ -21,7 +21,9 @@ def random_lights(count: int, seed: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("inputs", [1, 2, 5])
-def test_matches_slow_reference(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, inputs: int) -> None:
+def test_matches_slow_reference(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, inputs: int
+) -> None:
     """(3.16), (3.17) per pixel in float64, at bootstrap lights and between them, mean and variance."""
     sources, targets = random_lights(inputs, 1), torch.cat((random_lights(3, 2), lights[4:5]))
     images = torch.rand(1, inputs, 24, 21) * 0.5
@@ -29,7 +31,9 @@ def test_matches_slow_reference(statistics: FaceStatistics, people: torch.Tensor
     for y, x in ((0, 0), (11, 7), (23, 20)):
         pixel = reference.Pixel(statistics, y, x)
         for q, target in enumerate(targets):
-            mean, variance = pixel.relight(images[0, :, y, x].double().numpy(), sources.double().numpy(), target.double().numpy())
+            mean, variance = pixel.relight(
+                images[0, :, y, x].double().numpy(), sources.double().numpy(), target.double().numpy()
+            )
             assert abs(float(out.mean[0, q, y, x]) - mean) < 1e-5
             assert abs(float(out.variance[0, q, y, x]) - variance) < 1e-5
 
@@ -64,7 +68,9 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
 
 @pytest.mark.parametrize("covariance", MODELS)
 @pytest.mark.parametrize("inputs", [1, 2, 5, 21])
-def test_consistency(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str, inputs: int) -> None:
+def test_consistency(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str, inputs: int
+) -> None:
     """Theorem 3: an input light as target gives that input back, without variance, and the output is continuous there."""
     relighter = StatisticalRelighter(statistics, covariance)
     images, sources = people[13:14, :inputs], lights[:inputs]
@@ -110,7 +116,9 @@ def test_black_image_under_unknown_light_is_the_average_face(
 
 
 @pytest.mark.parametrize("covariance", MODELS)
-def test_variance_never_exceeds_the_prior(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str) -> None:
+def test_variance_never_exceeds_the_prior(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str
+) -> None:
     relighter = StatisticalRelighter(statistics, covariance)
     prior = relighter(people[12:13, :1], lights, source_lights=torch.zeros(1, 3)).variance
     for inputs in (1, 3, 8):
@@ -143,7 +151,9 @@ def test_batch_of_people_equals_one_by_one_and_order_does_not_matter(
     assert torch.allclose(shuffled.mean, together.mean, atol=1e-5)
 
 
-def test_inputs_are_not_changed_and_draws_repeat(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_inputs_are_not_changed_and_draws_repeat(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     estimator = KernelIlluminationEstimator.fit(people[:12], lights)
     relighter = StatisticalRelighter(statistics, estimator=estimator)
     images, targets = people[12:13, 3:4].clone(), lights[:2].clone()
@@ -156,7 +166,9 @@ def test_inputs_are_not_changed_and_draws_repeat(statistics: FaceStatistics, peo
     assert torch.equal(*seeded)
 
 
-def test_algorithm_2_is_the_mean_over_light_samples(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_algorithm_2_is_the_mean_over_light_samples(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
+) -> None:
     """Mean of the conditional means; mean of the variances plus variance of the means."""
     estimator = KernelIlluminationEstimator.fit(people[:12], lights)
     relighter = StatisticalRelighter(statistics, "face", estimator)
@@ -180,14 +192,18 @@ def test_some_lights_known_some_not(statistics: FaceStatistics, people: torch.Te
 
 
 @pytest.mark.parametrize("covariance", MODELS)
-def test_dtype_and_state_dict(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str) -> None:
+def test_dtype_and_state_dict(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str
+) -> None:
     import copy
 
     relighter = StatisticalRelighter(copy.deepcopy(statistics), covariance)
     names = set(relighter.state_dict())
     assert {"statistics.n_mean", "statistics.v_mean", "statistics.pixel.v_factor", "statistics.face.v"} <= names
     single = relighter(people[12:13, :2], lights[3:5], source_lights=lights[:2]).mean
-    double = relighter.double()(people[12:13, :2].double(), lights[3:5].double(), source_lights=lights[:2].double()).mean
+    double = relighter.double()(
+        people[12:13, :2].double(), lights[3:5].double(), source_lights=lights[:2].double()
+    ).mean
     assert double.dtype == torch.float64
     assert torch.allclose(single.double(), double, atol=1e-5)
 
@@ -196,7 +212,9 @@ def test_estimator_finds_held_out_lights(people: torch.Tensor, lights: torch.Ten
     estimator = KernelIlluminationEstimator.fit(people[:12], lights)
     found = estimator(people[12:]).direction
     assert angular_distance(found, lights.expand_as(found)).median() < 12  # half the spacing of the lights
-    assert torch.equal(estimator(people[12:] * 3).direction, found) or torch.allclose(estimator(people[12:] * 3).direction, found, atol=1e-4)
+    assert torch.equal(estimator(people[12:] * 3).direction, found) or torch.allclose(
+        estimator(people[12:] * 3).direction, found, atol=1e-4
+    )
     samples = estimator.sample(people[12:13, :2], 64)
     assert samples.shape == (1, 64, 2, 3)
     assert torch.allclose(samples.norm(dim=-1), torch.ones(1, 64, 2), atol=1e-5)
@@ -239,7 +257,10 @@ def test_save_pretrained(statistics: FaceStatistics, people: torch.Tensor, light
 
 def test_more_inputs_help_on_average(people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics) -> None:
     relighter = StatisticalRelighter(statistics, "face")
-    errors = [float((relighter.condition(people[12:, :k], lights[:k]).mean(lights[20:]) - people[12:, 20:]).square().mean()) for k in (1, 3, 9)]
+    errors = [
+        float((relighter.condition(people[12:, :k], lights[:k]).mean(lights[20:]) - people[12:, 20:]).square().mean())
+        for k in (1, 3, 9)
+    ]
     assert errors[0] > errors[1] > errors[2]
     prior = float((people[12:, 20:] - people[:12, 20:].mean(0)).square().mean())
     assert errors[0] < 0.7 * prior

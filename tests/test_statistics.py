@@ -26,7 +26,9 @@ def test_full_rank_factor_holds_the_sample_correlation(people: torch.Tensor, lig
     assert np.allclose(factor @ factor.T, np.corrcoef(v.T), atol=1e-3)
 
 
-def test_update_one_by_one_equals_fit(people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics, tmp_path) -> None:
+def test_update_one_by_one_equals_fit(
+    people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics, tmp_path
+) -> None:
     one = FaceStatistics(lights, statistics.options, ImageStore(tmp_path))
     for subject in people[:12]:
         one.update(subject)
@@ -43,7 +45,9 @@ def test_merge_equals_fit_of_all(people: torch.Tensor, lights: torch.Tensor, sta
     assert torch.allclose(merged.pixel.v_std, statistics.pixel.v_std, atol=1e-6)
 
 
-def test_missing_images_are_filled_from_the_same_person(people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics) -> None:
+def test_missing_images_are_filled_from_the_same_person(
+    people: torch.Tensor, lights: torch.Tensor, statistics: FaceStatistics
+) -> None:
     valid = torch.ones(12, 30, dtype=torch.bool)
     valid[3, 7] = valid[5, 7] = valid[8, 20] = False
     images = people[:12].clone()

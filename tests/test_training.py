@@ -22,7 +22,9 @@ def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
     shared = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     for name, launcher in (("one", []), ("two", shared)):
         command = [sys.executable, *launcher, *options, str(tmp_path / name)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env={**os.environ, "OMP_NUM_THREADS": "1"})
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=120, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        )
         assert done.returncode == 0, done.stderr
     one, two = (FaceStatistics.load(tmp_path / name / "statistics.safetensors").state_dict() for name in ("one", "two"))
     assert one.keys() == two.keys()

@@ -91,6 +91,8 @@ def test_fine_detail_pays_on_people_outside_the_bootstrap(yale_path: Path) -> No
             assert float(kept) < float(bare) - 0.1
         galleries = list(training_lights(faces, others, "random", 3))
         names = ["individual_pca_9+weber", "individual_pca_9+detail+cosine+weber_fine"]
-        tallies = evaluate_galleries(faces, galleries, StatisticalRelighter(statistics, "face"), names, Enrolment(shift=1))
+        tallies = evaluate_galleries(
+            faces, galleries, StatisticalRelighter(statistics, "face"), names, Enrolment(shift=1)
+        )
     plain, detailed = (float(torch.cat([t.right for t in tallies[name]]).float().mean()) for name in names)
     assert detailed > plain + 0.15  # at 96 x 84 detail is finer still

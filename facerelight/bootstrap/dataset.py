@@ -69,7 +69,9 @@ def _load_yale_folder(folder: Path, height: int, width: int) -> FaceImages:
 
 def load_pie(path: str | Path) -> FaceImages:
     """The ten people of CMU PIE under 21 flashes (``.npz``, 55 x 44), with the file's estimated flash directions."""
-    data = _open_npz(Path(path), ("images", "subject", "flash", "flash_ids", "flash_est_azimuth_deg", "flash_est_elevation_deg"))
+    data = _open_npz(
+        Path(path), ("images", "subject", "flash", "flash_ids", "flash_est_azimuth_deg", "flash_est_elevation_deg")
+    )
     place = {int(flash): i for i, flash in enumerate(data["flash_ids"])}
     order = np.array([place[int(flash)] for flash in data["flash"]])
     images = torch.from_numpy(data["images"]).float() / 255
@@ -108,7 +110,10 @@ def _open_npz(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
 def _shrink(images: Tensor, height: int, width: int) -> Tensor:
     """uint8 ``(M, H, W)`` to float32 in 0..1 by area averages."""
     return torch.cat(
-        [torch.nn.functional.interpolate(part[:, None].float() / 255, (height, width), mode="area")[:, 0] for part in images.split(256)]
+        [
+            torch.nn.functional.interpolate(part[:, None].float() / 255, (height, width), mode="area")[:, 0]
+            for part in images.split(256)
+        ]
     )
 
 
@@ -117,4 +122,12 @@ def _index(images: Tensor, subjects: np.ndarray, angles: np.ndarray, subset: Ten
     table, light = np.unique(angles, axis=0, return_inverse=True)  # sorted by azimuth, then elevation
     degrees = torch.from_numpy(table).float()
     lights = light_from_angles(degrees[:, 0], degrees[:, 1])
-    return FaceImages(images, torch.from_numpy(subject), torch.from_numpy(light.reshape(-1)), lights, degrees, subset, [str(p) for p in people])
+    return FaceImages(
+        images,
+        torch.from_numpy(subject),
+        torch.from_numpy(light.reshape(-1)),
+        lights,
+        degrees,
+        subset,
+        [str(p) for p in people],
+    )

@@ -36,11 +36,17 @@ class Domain:
 
     def __post_init__(self) -> None:
         if not (0 < self.tone_low <= self.tone_high <= 1.5):
-            raise ValueError(f"domain: expected 0 < tone_low <= tone_high <= 1.5, got {self.tone_low} and {self.tone_high}")
+            raise ValueError(
+                f"domain: expected 0 < tone_low <= tone_high <= 1.5, got {self.tone_low} and {self.tone_high}"
+            )
         if not (min(self.texture, self.specular, self.fill, self.side_light) >= 0 and 0.05 <= self.roughness <= 1):
-            raise ValueError(f"domain: expected texture, specular, fill, side_light >= 0 and roughness in 0.05 to 1, got {self}")
+            raise ValueError(
+                f"domain: expected texture, specular, fill, side_light >= 0 and roughness in 0.05 to 1, got {self}"
+            )
         if not (abs(self.pitch) <= 30 and 0 <= self.turn <= 15 and 0 <= self.misalign <= 0.2):
-            raise ValueError(f"domain: expected pitch within 30, turn in 0 to 15 degrees and misalign in 0 to 0.2, got {self}")
+            raise ValueError(
+                f"domain: expected pitch within 30, turn in 0 to 15 degrees and misalign in 0 to 0.2, got {self}"
+            )
 
 
 @dataclass(frozen=True)

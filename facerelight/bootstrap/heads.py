@@ -138,12 +138,17 @@ class IctHeads:
     def __init__(self, path: str | Path, seed: int = 0, spread: float = 0.8) -> None:
         try:
             with np.load(path, allow_pickle=False) as data:
-                self._data = {k: data[k] for k in ("vertices", "identity_basis", "triangles", "landmarks68", "triangle_part", "part_names")}
+                self._data = {
+                    k: data[k]
+                    for k in ("vertices", "identity_basis", "triangles", "landmarks68", "triangle_part", "part_names")
+                }
         except (OSError, ValueError, KeyError) as error:
             raise ValueError(f"{path}: expected ict_heads.npz; got {error}") from error
         self.seed, self.spread = seed, spread
         parts = [str(name) for name in self._data["part_names"]]
-        kept = [i for i, name in enumerate(parts) if any(word in name.lower() for word in ("face", "head", "eye"))] or range(len(parts))
+        kept = [
+            i for i, name in enumerate(parts) if any(word in name.lower() for word in ("face", "head", "eye"))
+        ] or range(len(parts))
         inside = np.isin(self._data["triangle_part"], list(kept))
         self._triangles = self._data["triangles"][inside]
         eyes = [i for i, name in enumerate(parts) if "eye" in name.lower()]
@@ -194,7 +199,9 @@ class MeshFolder:
             first = points if index == 0 else self._points(self.paths[0])
             self._target = apply_similarity(fit_similarity_3d(first[:3], self.FRONT), first)
         if points.shape != self._target.shape:
-            raise ValueError(f"{path}: expected {len(self._target)} marked points as in the first mesh, got {len(points)}")
+            raise ValueError(
+                f"{path}: expected {len(self._target)} marked points as in the first mesh, got {len(points)}"
+            )
         try:
             mesh = trimesh.load(path, force="mesh", process=False)
         except Exception as error:  # trimesh raises whatever its parsers do
@@ -203,7 +210,13 @@ class MeshFolder:
             raise ValueError(f"{path}: expected a mesh with triangles and finite vertices")
         move = fit_similarity_3d(points, self._target)
         vertices = apply_similarity(move, np.asarray(mesh.vertices, np.float64))
-        return Head(vertices, np.asarray(mesh.faces), vertices, np.zeros(len(vertices), np.float32), apply_similarity(move, points)[:3])
+        return Head(
+            vertices,
+            np.asarray(mesh.faces),
+            vertices,
+            np.zeros(len(vertices), np.float32),
+            apply_similarity(move, points)[:3],
+        )
 
     @staticmethod
     def _points(path: Path) -> np.ndarray:
@@ -238,12 +251,16 @@ def apply_similarity(move: tuple[float, np.ndarray, np.ndarray], points: np.ndar
 def rotate(head: Head, azimuth: float, elevation: float) -> Head:
     """Turn a head about its middle as if the camera moved (degrees): positive azimuth shows what lies at image-left."""
     if not (abs(azimuth) <= 90 and abs(elevation) <= 60):
-        raise ValueError(f"pose: expected azimuth within 90 and elevation within 60 degrees, got {azimuth} and {elevation}")
+        raise ValueError(
+            f"pose: expected azimuth within 90 and elevation within 60 degrees, got {azimuth} and {elevation}"
+        )
     a, e = np.deg2rad((azimuth, elevation))
     about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
     about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
     turn = about_x @ about_y
-    return head._replace(vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT)
+    return head._replace(
+        vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT
+    )
 
 
 def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
@@ -278,5 +295,8 @@ def _tent(x: float) -> tuple[float, float, float]:
 @lru_cache(maxsize=1)
 def _packed_heads() -> dict[str, np.ndarray]:
     """The packed morph targets; read once a process."""
-    with files("facerelight.bootstrap").joinpath("data/heads.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
+    with (
+        files("facerelight.bootstrap").joinpath("data/heads.npz").open("rb") as file,
+        np.load(file, allow_pickle=False) as data,
+    ):
         return {name: data[name].astype(np.float32) if data[name].dtype == np.float16 else data[name] for name in data}

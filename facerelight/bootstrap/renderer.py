@@ -93,7 +93,9 @@ class _FloatRenderer(Renderer):
         self._program_cache = _OneProgram(fragment)
         self.targets = targets
         self._main_fb: int | None = None
-        self.window: tuple[int, int, int, int] | None = None  # left, top, width, height: the part that is drawn and read
+        self.window: tuple[int, int, int, int] | None = (
+            None  # left, top, width, height: the part that is drawn and read
+        )
 
     def _configure_main_framebuffer(self) -> None:
         size = self.viewport_width, self.viewport_height
@@ -104,7 +106,9 @@ class _FloatRenderer(Renderer):
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
         attachments = [GL.GL_COLOR_ATTACHMENT0 + k for k in range(self.targets)]
         formats = [GL.GL_RGBA32F] * self.targets + [GL.GL_DEPTH_COMPONENT32F]
-        for buffer, attachment, kind in zip(self._buffers, [*attachments, GL.GL_DEPTH_ATTACHMENT], formats, strict=True):
+        for buffer, attachment, kind in zip(
+            self._buffers, [*attachments, GL.GL_DEPTH_ATTACHMENT], formats, strict=True
+        ):
             GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, buffer)
             GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, *size)
             GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, attachment, GL.GL_RENDERBUFFER, buffer)
@@ -152,7 +156,9 @@ class MeshRenderer:
         supersample: geometry samples a pixel along each side.
     """
 
-    def __init__(self, height: int, width: int, shadow_size: int = 1024, extent: float = 1.0, supersample: int = 1) -> None:
+    def __init__(
+        self, height: int, width: int, shadow_size: int = 1024, extent: float = 1.0, supersample: int = 1
+    ) -> None:
         self.extent, self.shadow_size = extent, shadow_size
         device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
         self._context = egl.EGLPlatform(width, height, device=device)
@@ -210,7 +216,9 @@ class MeshRenderer:
     def __enter__(self) -> MeshRenderer:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
 
@@ -221,7 +229,9 @@ def _scene(vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray, fea
         positions=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
         texcoord_0=feature[:, 3:].repeat(2, axis=1),
-        color_0=np.concatenate((feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1),  # alpha below 1 would switch blending on
+        color_0=np.concatenate(
+            (feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1
+        ),  # alpha below 1 would switch blending on
         indices=triangles.astype(np.uint32),
     )
     scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))

@@ -24,7 +24,9 @@ from facerelight.bootstrap.skin import Look, paint
 __all__ = ["EFFECTS", "EffectPlan", "Surface", "plan_effects", "shade", "view_surface"]
 
 EFFECTS = ("attached", "cast", "specular", "ambient")
-RELIEF_SIZE = 256  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
+RELIEF_SIZE = (
+    256  # cells along each side of the light map; the relief that bounds occlusion is the part with the head in it
+)
 NEAR_CELLS = 6  # within so many cells occlusion is judged by slope, beyond by height
 AROUND = np.ones((5, 5), np.uint8)  # rounding of places to cells, and the soft edge of a shadow
 REFLECTANCE = 0.028  # of skin at normal incidence; sets how it grows towards grazing
@@ -86,7 +88,9 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     pixel = inside.flatten().nonzero()[:, 0]
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
-    return Surface(position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position))
+    return Surface(
+        position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
+    )
 
 
 def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
@@ -95,10 +99,15 @@ def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
     texel = 2 * renderer.extent / renderer.shadow_size
     step = factor * texel
     low, high = head.vertices[:, :2].min(0) / step, head.vertices[:, :2].max(0) / step
-    edges = [int(np.clip(np.floor(edge) + RELIEF_SIZE // 2, 1, RELIEF_SIZE - 2)) for edge in (low[0], -high[1], high[0], -low[1])]
+    edges = [
+        int(np.clip(np.floor(edge) + RELIEF_SIZE // 2, 1, RELIEF_SIZE - 2))
+        for edge in (low[0], -high[1], high[0], -low[1])
+    ]
     left, top, right, bottom = edges[0] - 1, edges[1] - 1, edges[2] + 2, edges[3] + 2
     window = (left * factor, top * factor, (right - left) * factor, (bottom - top) * factor)
-    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())  # every other texel bounds well enough
+    fine = torch.from_numpy(
+        renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy()
+    )  # every other texel bounds well enough
     factor, texel = factor // 2, 2 * texel
     pool = torch.nn.functional.max_pool2d
     solid = fine > -5 * renderer.extent
@@ -107,13 +116,23 @@ def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
     along_x = (fine.diff(dim=1) / texel).masked_fill(~(solid[:, 1:] & solid[:, :-1]), 0.0)
     along_y = (-fine.diff(dim=0) / texel).masked_fill(~(solid[1:] & solid[:-1]), 0.0)
     pad = torch.nn.functional.pad
-    slope = torch.stack([pool(sign * axis[None], factor)[0] for axis in (pad(along_x, (0, 1)), pad(along_y, (0, 0, 0, 1))) for sign in (1, -1)])
+    slope = torch.stack(
+        [
+            pool(sign * axis[None], factor)[0]
+            for axis in (pad(along_x, (0, 1)), pad(along_y, (0, 0, 0, 1)))
+            for sign in (1, -1)
+        ]
+    )
     radius = int(torch.linalg.vector_norm(position[:, :2], dim=1).max() / step) + 2
     cliff = torch.hypot(slope[:2].amax(0), slope[2:].amax(0)) > CLIFF
-    return Relief(highest, slope.numpy(), cliff.numpy(), step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius)
+    return Relief(
+        highest, slope.numpy(), cliff.numpy(), step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius
+    )
 
 
-def plan_effects(surface: Surface, light: Tensor, material: Material, effects: str | Iterable[str] = "auto") -> EffectPlan:
+def plan_effects(
+    surface: Surface, light: Tensor, material: Material, effects: str | Iterable[str] = "auto"
+) -> EffectPlan:
     """Which effects can change a pixel of ``surface`` under ``light (3,)``, by cheap conservative tests.
 
     Args:
@@ -129,7 +148,9 @@ def plan_effects(surface: Surface, light: Tensor, material: Material, effects: s
     if effects != "auto":
         chosen = frozenset(EFFECTS if effects == "all" else effects if not isinstance(effects, str) else (effects,))
         if chosen - set(EFFECTS):
-            raise ValueError(f"effects: unknown {sorted(chosen - set(EFFECTS))}; choose 'auto', 'all' or from {', '.join(EFFECTS)}")
+            raise ValueError(
+                f"effects: unknown {sorted(chosen - set(EFFECTS))}; choose 'auto', 'all' or from {', '.join(EFFECTS)}"
+            )
         return EffectPlan(chosen, everywhere & ("cast" in chosen), everywhere & ("specular" in chosen))
     facing = surface.normal @ light
     lit = facing > 0
@@ -166,7 +187,9 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     slope = float(light[2]) / sideways
     x, y = (light[:2] / sideways).tolist()
     climb = relief.slope[0 if x > 0 else 1] * np.float32(abs(x)) + relief.slope[2 if y > 0 else 3] * np.float32(abs(y))
-    grazing = slope - GRAZING / sideways * np.sqrt(1 + climb**2)  # facets that face the light by less than this may shade themselves
+    grazing = slope - GRAZING / sideways * np.sqrt(
+        1 + climb**2
+    )  # facets that face the light by less than this may shade themselves
     steep = cv2.dilate(((climb >= np.minimum(grazing, STEEPEST)) | relief.cliff).astype(np.uint8), AROUND)
     # the turned map: columns towards the light, rows across; the visible pixels are all in it
     column, row = relief.corner
@@ -175,7 +198,9 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     size = (relief.radius + reach, 2 * relief.radius + 1)
     origin = relief.radius
     turn = np.array(((x, -y, column - origin * (x - y)), (-y, -x, row + origin * (x + y))))
-    turned = cv2.warpAffine(relief.highest, turn, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=BELOW)
+    turned = cv2.warpAffine(
+        relief.highest, turn, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=BELOW
+    )
     above_ray = turned - np.float32(relief.step * slope) * np.arange(size[0], dtype=np.float32)
     highest = np.maximum.accumulate(above_ray[:, ::-1], axis=1)[:, ::-1]
     near = cv2.warpAffine(steep, turn, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
@@ -186,7 +211,9 @@ def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     place = surface.position @ torch.tensor(((x, -y, 0.0), (y, x, 0.0), (0.0, 0.0, 1.0)))
     toward = place[:, 0] / relief.step + origin
     line = (place[:, 1] / relief.step + origin).round().long() * size[0]
-    far = torch.from_numpy(np.ascontiguousarray(highest)).flatten()[line + (toward + NEAR_CELLS).round().long().clamp_max(size[0] - 1)]
+    far = torch.from_numpy(np.ascontiguousarray(highest)).flatten()[
+        line + (toward + NEAR_CELLS).round().long().clamp_max(size[0] - 1)
+    ]
     above = far > place[:, 2] - relief.step * slope * (toward + 1)
     return lit & (above | torch.from_numpy(near).bool().flatten()[line + toward.round().long()])
 
@@ -225,7 +252,12 @@ def _highlight_reach(material: Material) -> float:
 
 
 def shade(
-    surface: Surface, light: Tensor, material: Material, plan: EffectPlan, renderer: MeshRenderer, work: Counter[str] | None = None
+    surface: Surface,
+    light: Tensor,
+    material: Material,
+    plan: EffectPlan,
+    renderer: MeshRenderer,
+    work: Counter[str] | None = None,
 ) -> Tensor:
     """Linear radiance of ``surface`` under one light, ``(H, W)``, black where no head is; a white matte surface facing the light has 1.
 
@@ -246,7 +278,12 @@ def shade(
     if "ambient" in plan.effects:
         radiance = radiance + surface.albedo * material.fill * (0.5 + 0.5 * surface.normal[:, 2])
     if work is not None:
-        touched = {"attached": len(facing), "cast": int(plan.cast.sum()), "specular": int(plan.specular.sum()), "ambient": len(facing)}
+        touched = {
+            "attached": len(facing),
+            "cast": int(plan.cast.sum()),
+            "specular": int(plan.specular.sum()),
+            "ambient": len(facing),
+        }
         for effect in EFFECTS:
             run = effect in plan.effects
             work[f"{effect} passes {'run' if run else 'skipped'}"] += 1
@@ -278,7 +315,9 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
         left, top, right, bottom = 0, 0, size, size
     height = renderer.heights(direction, (left, top, right - left, bottom - top))
     cosine = (surface.normal[cast] @ light).clamp(0.15, 1)
-    least = local[:, 2] + texel * (6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine)  # what hides a point stands higher than this
+    least = local[:, 2] + texel * (
+        6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine
+    )  # what hides a point stands higher than this
     row, column = row - top, column - left
     if exhaustive:
         return _filtered(torch.from_numpy(height), row, column, least, texel)

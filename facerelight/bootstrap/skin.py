@@ -68,7 +68,9 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     x, y, z = reference.unbind(-1)
     side = x.abs()
     skin = (
-        torch.log(torch.tensor(look.tone)) + look.pigment * _noise(reference, 6, look.seed) + look.grain * _noise(reference, 40, look.seed + 1)
+        torch.log(torch.tensor(look.tone))
+        + look.pigment * _noise(reference, 6, look.seed)
+        + look.grain * _noise(reference, 40, look.seed + 1)
     )
     # a brow is an arc that rises outward and thins at its end
     arc = look.brow_height + 0.10 * (side - 0.25).clamp(0, 0.35) - 0.5 * (side - 0.62).clamp_min(0)

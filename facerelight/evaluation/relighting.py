@@ -56,7 +56,9 @@ def held_out_lights(faces: FaceImages) -> Tensor:
 def _light_index(faces: FaceImages, angles: tuple[float, float]) -> int:
     match = (faces.angles - torch.tensor(angles)).abs().amax(1) < 0.5
     if not match.any():
-        raise ValueError(f"lights: expected one at azimuth {angles[0]:g}, elevation {angles[1]:g} in the data, got none")
+        raise ValueError(
+            f"lights: expected one at azimuth {angles[0]:g}, elevation {angles[1]:g} in the data, got none"
+        )
     return int(match.nonzero()[0, 0])
 
 
@@ -173,7 +175,10 @@ def evaluate_folds(
                     for name, relit in results.items():
                         scored = _score(relit, images[person, index], subset[index], image[0, 0], frontal[index])
                         scores.setdefault(case, {}).setdefault(name, []).append(scored)
-    joined = {case: {name: Scores(*map(torch.cat, zip(*parts, strict=True))) for name, parts in by.items()} for case, by in scores.items()}
+    joined = {
+        case: {name: Scores(*map(torch.cat, zip(*parts, strict=True))) for name, parts in by.items()}
+        for case, by in scores.items()
+    }
     error = torch.stack(angles)
     return joined, {"median_deg": round(float(error.median()), 2), "mean_deg": round(float(error.mean()), 2)}
 

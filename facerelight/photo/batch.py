@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from facerelight.photo.files import SUFFIXES, check_writable, find_photos, not_held, read_photo, write_photo
+from facerelight.photo.files.disk import SUFFIXES, check_writable, find_photos, not_held, read_photo, write_photo
 from facerelight.photo.scenes import Scene, scene_paths
 from facerelight.photo.stages import Stage, StageLog
 
 if TYPE_CHECKING:
-    from facerelight.photo.landmarks import Face
-    from facerelight.photo.photograph import PhotoFile
+    from facerelight.photo.faces.landmarks import Face
+    from facerelight.photo.files.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
     from facerelight.relighter import StatisticalRelighter
 
@@ -134,7 +134,7 @@ def choose_faces(photo: np.ndarray, which: str) -> tuple[list[tuple[int, Face]],
         LandmarksNotFoundError: no face.
         ValueError: a number beyond the number of faces.
     """
-    from facerelight.photo.landmarks import LandmarksNotFoundError, find_faces
+    from facerelight.photo.faces.landmarks import LandmarksNotFoundError, find_faces
 
     faces = list(enumerate(find_faces(photo), 1))
     if not faces:
@@ -154,8 +154,8 @@ def _chosen(
     request: Request,
 ) -> tuple[list[tuple[int, Face | None]], int]:
     """The faces to relight, and how many there are; where landmarks are given, nothing is looked for."""
-    from facerelight.photo.landmarks import LandmarksNotFoundError, find_faces
-    from facerelight.photo.profiles import eight_bits
+    from facerelight.photo.faces.landmarks import LandmarksNotFoundError, find_faces
+    from facerelight.photo.files.profiles import eight_bits
 
     for path, other in zip(job.more, more, strict=True):
         if not find_faces(eight_bits(other.pixels)):
@@ -262,7 +262,7 @@ def _some(paths: Sequence[Path]) -> str:
 @contextmanager
 def _naming(photo: Path) -> Iterator[None]:
     """Errors with the photo's name in front, and the remedy behind where they are about landmarks."""
-    from facerelight.photo.landmarks import LandmarksNotFoundError
+    from facerelight.photo.faces.landmarks import LandmarksNotFoundError
 
     try:
         yield

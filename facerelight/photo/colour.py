@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Window
+from facerelight.photo.bust.frame import Window
 from facerelight.sources import LUMINANCE
 
 __all__ = ["LUMA", "SkinColour", "relit_radiance", "skin_colour", "to_display", "to_scene"]

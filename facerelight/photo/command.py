@@ -100,7 +100,7 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
 
 
 def _run_batch(jobs: list[Job], request: Request, load: Load, arguments: Namespace) -> int:
-    from facerelight.photo.landmarks import LandmarksNotFoundError
+    from facerelight.photo.faces.landmarks import LandmarksNotFoundError
 
     reports: list[dict[str, Any]] = []
     codes = []

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import torch
 
+from facerelight.photo.bust.frame import Window
 from facerelight.photo.colour import SkinColour, relit_radiance, to_display, to_scene
-from facerelight.photo.frame import Window
-from facerelight.photo.pixels import scale_of
+from facerelight.photo.files.pixels import scale_of
 
 __all__ = ["Changes", "change_pixels"]
 

@@ -32,7 +32,9 @@ def face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
     skin = (1 - (distance - 2.5) / 1.5).clamp(0, 1)
     unit = float(eyes[1, 0] - eyes[0, 0])
     below_fringe = ((y - eyes[0, 1]) / unit + 0.5).div(0.15).clamp(0, 1)
-    inner = ((0.72 - radius) / 0.15).clamp(0, 1) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
+    inner = ((0.72 - radius) / 0.15).clamp(
+        0, 1
+    ) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
     mask = torch.maximum(around * skin, inner)
     guide = brightness.clamp(0, 1).sqrt()
     smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)

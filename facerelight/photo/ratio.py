@@ -1,6 +1,6 @@
 """The ratio of new light to old over a whole bust: the face's from the model, the rest from shading, joined without a seam.
 
-All maps are of :data:`facerelight.photo.frame.FINE`. A light is a sum of points, and so is what it does: the model's posterior mean and the
+All maps are of :data:`facerelight.photo.bust.frame.FINE`. A light is a sum of points, and so is what it does: the model's posterior mean and the
 bust's irradiance are linear in it. The mean over people is a soft light itself: it knows how bright each part of a face becomes, but not where
 the edges of this face's shadows run. Those are the bust's, whose head has the face's own pose and proportions.
 """
@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from facerelight.alignment import CropFrame
-from facerelight.photo.frame import BUST, FINE, between, crop_onto
-from facerelight.photo.shading import BustShading
+from facerelight.photo.bust.frame import BUST, FINE, between, crop_onto
+from facerelight.photo.bust.shading import BustShading
 from facerelight.sources import LightMixture
 
 __all__ = ["FaceEvidence", "LightRatio"]

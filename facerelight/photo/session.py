@@ -20,18 +20,18 @@ from torch import Tensor
 from facerelight.alignment import fit_similarity
 from facerelight.config import default_statistics_folder, quality_config
 from facerelight.lights import angles_from_light, light_from_angles
-from facerelight.photo.bust import fit_bust, head_rotation, make_bust
+from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
+from facerelight.photo.bust.matte import person_matte
+from facerelight.photo.bust.shading import BustShading
+from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import LUMA, SkinColour, skin_colour, to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.face_model import FaceModel, crop_frame
-from facerelight.photo.features import Features, facial_features
-from facerelight.photo.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
-from facerelight.photo.head_pose import HeadPose
-from facerelight.photo.landmarks import Face, LandmarksNotFoundError, face_at, find_faces
-from facerelight.photo.matte import person_matte
-from facerelight.photo.pixels import as_bytes, as_rgb, like, small_copy
+from facerelight.photo.faces.features import Features, facial_features
+from facerelight.photo.faces.head_pose import HeadPose
+from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError, face_at, find_faces
+from facerelight.photo.files.pixels import as_bytes, as_rgb, like, small_copy
 from facerelight.photo.ratio import FaceEvidence, LightRatio
-from facerelight.photo.shading import BustShading
 from facerelight.photo.stages import Stage, StageLog
 from facerelight.relighter import Method, StatisticalRelighter
 from facerelight.sources import Lamp, LightMixture, scene_light
@@ -116,7 +116,7 @@ def relight(
     scene_light(wanted, fill)  # said before the work what is wrong with them
     _check_share("strength", strength)
     if isinstance(photo, Image.Image):
-        from facerelight.photo.photograph import from_pillow, to_pillow
+        from facerelight.photo.files.photograph import from_pillow, to_pillow
 
         opened = from_pillow(photo)
         session = PhotoRelighter(opened.pixels, landmarks, relighter, quality=quality, device=device)
@@ -137,7 +137,7 @@ class PhotoRelighter:
         method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own uncertainty counted in;
             "mle": n without a prior, from three photos or more under different lights.
         quality: as for :func:`relight`.
-        face: which face, as :func:`facerelight.photo.landmarks.find_faces` found it; ``landmarks`` are then its own.
+        face: which face, as :func:`facerelight.photo.faces.landmarks.find_faces` found it; ``landmarks`` are then its own.
         stages: "auto" simulates what each scene calls for, "all" everything; the pictures are the same.
         device: where the statistical model computes.
 

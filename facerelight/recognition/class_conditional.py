@@ -54,7 +54,9 @@ class GaussianClassifier(Classifier):
     ) -> None:
         super().__init__(normalizer, reject, shift)
         if components < 1 or dimension < 0 or noise <= 0:
-            raise ValueError(f"expected components >= 1, dimension >= 0 and noise > 0, got {components}, {dimension} and {noise}")
+            raise ValueError(
+                f"expected components >= 1, dimension >= 0 and noise > 0, got {components}, {dimension} and {noise}"
+            )
         self.components, self.dimension, self.noise = components, dimension, noise
         for name in ("means", "bases", "spread", "floor", "log_weight"):
             self.register_buffer(name, torch.zeros(0))
@@ -76,7 +78,9 @@ class GaussianClassifier(Classifier):
         pad = nn.functional.pad
         self.means = torch.stack([space.mean for space, *_ in parts])
         self.bases = torch.stack([pad(space.basis, (0, width - space.basis.shape[1])) for space, *_ in parts])
-        self.spread = torch.stack([pad(space.singular.square(), (0, width - len(space.singular))) for space, *_ in parts])
+        self.spread = torch.stack(
+            [pad(space.singular.square(), (0, width - len(space.singular))) for space, *_ in parts]
+        )
         self.floor = torch.tensor([noise for _, noise, _, _ in parts])
         self.log_weight = torch.tensor([share for _, _, share, _ in parts]).log()
         self.owner = torch.tensor([person for *_, person in parts])
@@ -84,7 +88,11 @@ class GaussianClassifier(Classifier):
     def _scores(self, rows: Tensor) -> Tensor:
         """Log likelihood of ``rows (M, D)`` under each person, in nats a pixel, ``(M, C)``."""
         size, width = self.bases.shape[1:]
-        rows, means, bases = rows.double(), self.means.double(), self.bases.double()  # the noise divides a difference of large numbers
+        rows, means, bases = (
+            rows.double(),
+            self.means.double(),
+            self.bases.double(),
+        )  # the noise divides a difference of large numbers
         offset = torch.einsum("sdk,sd->sk", bases, means)
         inside = (torch.matmul(rows, bases).transpose(0, 1) - offset).square()  # (M, S, k)
         length = rows.square().sum(1, keepdim=True) - 2 * rows @ means.T + means.square().sum(1)

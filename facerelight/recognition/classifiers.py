@@ -51,7 +51,9 @@ class Classifier(nn.Module):
         place = nn.functional.one_hot(index).cumsum(0).gather(1, index[:, None])[:, 0]  # 1, 2, ... within each person
         held_out = place % 2 == 0
         if int(index.bincount().min()) < 4 or int(index.max()) < 1:
-            raise ValueError("reject='fit': expected 4 exemplars or more of each of 2 people or more; give a score, or call calibrate()")
+            raise ValueError(
+                "reject='fit': expected 4 exemplars or more of each of 2 people or more; give a score, or call calibrate()"
+            )
         self._learn(rows[~held_out], index[~held_out])
         scores, own = self._scores(rows[held_out]), index[held_out][:, None]
         genuine = scores.gather(1, own)[:, 0]
@@ -144,10 +146,14 @@ class SumClassifier(Classifier):
         reject: least score that is not a stranger.
     """
 
-    def __init__(self, classifiers: Sequence[Classifier], weights: Sequence[float] | None = None, reject: float | None = None) -> None:
+    def __init__(
+        self, classifiers: Sequence[Classifier], weights: Sequence[float] | None = None, reject: float | None = None
+    ) -> None:
         super().__init__(reject=reject)
         if not classifiers or any(c.classes_ is None or c.classes_ != classifiers[0].classes_ for c in classifiers):
-            raise ValueError("classifiers: expected one or more, fitted to the same people; fit each with the same labels first")
+            raise ValueError(
+                "classifiers: expected one or more, fitted to the same people; fit each with the same labels first"
+            )
         if weights is not None and len(weights) != len(classifiers):
             raise ValueError(f"weights: expected one for each of {len(classifiers)} classifiers, got {len(weights)}")
         self.classifiers = nn.ModuleList(classifiers)
@@ -245,7 +251,12 @@ class GlobalPCAClassifier(Classifier):
     index: Tensor
 
     def __init__(
-        self, dimension: int | None = 40, error: float = 0.01, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0
+        self,
+        dimension: int | None = 40,
+        error: float = 0.01,
+        normalizer: nn.Module | None = None,
+        reject: Reject = None,
+        shift: int = 0,
     ) -> None:
         super().__init__(normalizer, reject, shift)
         self.dimension, self.error = dimension, error
@@ -321,7 +332,9 @@ class IndividualPCAClassifier(Classifier):
     def fit_subspaces(self, spaces: Sequence[Subspace], labels: Sequence[Hashable]) -> Self:
         """Take ready-made subspaces, one a person (of :func:`direct_subspace`, say), instead of exemplars."""
         if len(spaces) == 0 or len(spaces) != len(labels) or len(set(labels)) != len(labels):
-            raise ValueError(f"labels: expected a different one for each of {len(spaces)} subspaces, got {len(set(labels))}")
+            raise ValueError(
+                f"labels: expected a different one for each of {len(spaces)} subspaces, got {len(set(labels))}"
+            )
         order = sorted(range(len(labels)), key=lambda i: str(labels[i]))
         self.classes_ = [labels[i] for i in order]
         self._keep([spaces[i] for i in order])
@@ -341,7 +354,9 @@ class IndividualPCAClassifier(Classifier):
     def _keep(self, spaces: Sequence[Subspace]) -> None:
         widest = max(space.basis.shape[1] for space in spaces)
         self.means = torch.stack([space.mean for space in spaces])
-        self.bases = torch.stack([nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces])
+        self.bases = torch.stack(
+            [nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces]
+        )
         self.offsets = torch.einsum("cdk,cd->ck", self.bases, self.means)
         self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces])
 

@@ -54,7 +54,9 @@ def pie_as_canonical(faces: FaceImages, frame: CropFrame) -> FaceImages:
     return faces._replace(images=moved)
 
 
-def training_lights(faces: FaceImages, people: list[int], case: str, draws: int, seed: int = 0) -> Iterator[dict[int, int]]:
+def training_lights(
+    faces: FaceImages, people: list[int], case: str, draws: int, seed: int = 0
+) -> Iterator[dict[int, int]]:
     """Galleries of a protocol: which light each person's one training image has.
 
     Args:
@@ -163,7 +165,9 @@ def _score_tables(
     return {name: (table, seconds[name] / compared) for name, table in tables.items()}
 
 
-def _enroll(faces: FaceImages, grid: Tensor, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment) -> GalleryImages:
+def _enroll(
+    faces: FaceImages, grid: Tensor, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment
+) -> GalleryImages:
     """Training images, of all ``grid (people, lights, H, W)``, and their exemplars."""
     photos = torch.stack([grid[person, light] for person, light in gallery.items()])
     given = None if how.estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])

@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from facerelight.detail import keep_detail
 from facerelight.photo import PhotoRelighter, crop_frame
-from facerelight.photo.files import read_photo
+from facerelight.photo.files.disk import read_photo
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
 from facerelight.recognition.photometric import Inside, make_normalizer
@@ -43,7 +43,9 @@ class Gallery:
         shift: pixels of the crop by which landmarks may be off.
     """
 
-    def __init__(self, relighter: StatisticalRelighter, photometric: str = "weber_fine", dimension: int = 9, shift: int = 2) -> None:
+    def __init__(
+        self, relighter: StatisticalRelighter, photometric: str = "weber_fine", dimension: int = 9, shift: int = 2
+    ) -> None:
         self.relighter, self.photometric, self.dimension = relighter, photometric, dimension
         face = (crop_frame(relighter).oval() < FACE).float()
         normalizer = Inside(make_normalizer(photometric), face)
@@ -119,9 +121,16 @@ class Gallery:
             people, pixels = len(header["names"]), height * width
             fits = bases.dim() == 3 and bases.shape[:2] == means.shape == (people, pixels) and len(sizes) == people
             if not fits or not torch.isfinite(bases).all() or not torch.isfinite(means).all():
-                raise ValueError(f"expected finite bases of {people} people at {height} x {width}, got {tuple(bases.shape)}")
-            spaces = [Subspace(mean, basis[:, :k], torch.ones(k)) for mean, basis, k in zip(means, bases, sizes.tolist(), strict=True)]
+                raise ValueError(
+                    f"expected finite bases of {people} people at {height} x {width}, got {tuple(bases.shape)}"
+                )
+            spaces = [
+                Subspace(mean, basis[:, :k], torch.ones(k))
+                for mean, basis, k in zip(means, bases, sizes.tolist(), strict=True)
+            ]
             state.fit_subspaces(spaces, header["names"])
         except (OSError, KeyError, TypeError, ValueError, AttributeError, SafetensorError) as error:
-            raise ValueError(f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`") from error
+            raise ValueError(
+                f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`"
+            ) from error
         return gallery

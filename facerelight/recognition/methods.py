@@ -89,7 +89,9 @@ def fit_classifier(name: str, gallery: GalleryImages) -> Classifier:
         many = base == "fisherfaces"  # needs more than one image a person
         return OpenCVClassifier(base).fit(*(gallery.rows(gallery.relit) if many else (photos, people)))
     normalizer = make_normalizer(normalizer_name)
-    nearest = NearestNeighborClassifier("cosine" if normalizer_name != "none" else "l2", normalizer=normalizer, shift=shift)
+    nearest = NearestNeighborClassifier(
+        "cosine" if normalizer_name != "none" else "l2", normalizer=normalizer, shift=shift
+    )
     if base == "nearest_neighbor" and "exemplars" not in added:
         return nearest.fit(photos, people)
     exemplars = keep_detail(gallery.relit, photos, 1.0).clamp_max(1) if "detail" in added else gallery.relit
@@ -102,7 +104,10 @@ def fit_classifier(name: str, gallery: GalleryImages) -> Classifier:
         components = 3 if base == "gaussian_mixture_9" else 1
         return GaussianClassifier(components, 9, normalizer=normalizer, shift=shift).fit(rows, owners)
     subspaces = IndividualPCAClassifier(
-        None if base == "individual_pca" else 9, normalizer=normalizer, shift=shift, metric="cosine" if "cosine" in added else "error"
+        None if base == "individual_pca" else 9,
+        normalizer=normalizer,
+        shift=shift,
+        metric="cosine" if "cosine" in added else "error",
     ).fit(rows, owners)
     return SumClassifier([nearest.fit(photos, people), subspaces]) if "photo" in added else subspaces
 

@@ -32,7 +32,9 @@ class TanTriggs(nn.Module):
         torch.Size([2, 48, 42])
     """
 
-    def __init__(self, gamma: float = 0.2, inner: float = 1.0, outer: float = 2.0, alpha: float = 0.1, tau: float = 10.0) -> None:
+    def __init__(
+        self, gamma: float = 0.2, inner: float = 1.0, outer: float = 2.0, alpha: float = 0.1, tau: float = 10.0
+    ) -> None:
         super().__init__()
         self.gamma, self.inner, self.outer, self.alpha, self.tau = gamma, inner, outer, alpha, tau
 
@@ -40,7 +42,9 @@ class TanTriggs(nn.Module):
         toned = (images.clamp_min(0) * 255 + 1) ** self.gamma
         band = gaussian_blur(toned, self.inner) - gaussian_blur(toned, self.outer)
         for limit in (float("inf"), self.tau):
-            mean = band.abs().clamp_max(limit).pow(self.alpha).mean((1, 2), keepdim=True).clamp_min(1e-12) ** (1 / self.alpha)
+            mean = band.abs().clamp_max(limit).pow(self.alpha).mean((1, 2), keepdim=True).clamp_min(1e-12) ** (
+                1 / self.alpha
+            )
             band = band / mean.clamp_min(1e-12)
         band = self.tau * torch.tanh(band / self.tau)
         return _unit_length(band)
@@ -63,7 +67,9 @@ class WeberFaces(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         smooth = gaussian_blur(images.clamp_min(0), self.sigma) + 2 / 255
-        around = nn.functional.avg_pool2d(nn.functional.pad(smooth[:, None], (1, 1, 1, 1), mode="replicate"), 3, 1)[:, 0]
+        around = nn.functional.avg_pool2d(nn.functional.pad(smooth[:, None], (1, 1, 1, 1), mode="replicate"), 3, 1)[
+            :, 0
+        ]
         contrast = torch.atan(self.gain * 9 * (smooth - around) / smooth)
         return _unit_length(contrast)
 

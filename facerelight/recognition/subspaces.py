@@ -18,7 +18,9 @@ class Subspace(NamedTuple):
     singular: Tensor
 
 
-def principal_subspace(exemplars: Tensor, dimension: int | None = None, error: float = 0.01, weights: Tensor | None = None) -> Subspace:
+def principal_subspace(
+    exemplars: Tensor, dimension: int | None = None, error: float = 0.01, weights: Tensor | None = None
+) -> Subspace:
     """PCA of exemplars ``(M, D)``.
 
     Args:
@@ -38,7 +40,11 @@ def principal_subspace(exemplars: Tensor, dimension: int | None = None, error: f
         raise ValueError(f"exemplars: expected (M, D) with M >= 1, got {tuple(exemplars.shape)}")
     if not torch.isfinite(exemplars).all():
         raise ValueError("exemplars: expected finite values, got NaN or infinity")
-    share = torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype) if weights is None else weights / weights.sum()
+    share = (
+        torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype)
+        if weights is None
+        else weights / weights.sum()
+    )
     mean = share @ exemplars
     rows = (exemplars - mean) * share.sqrt()[:, None]
     wide = rows.double()

@@ -23,7 +23,7 @@ from facerelight.evaluation.photographs import MEASURES, photograph_measures
 from facerelight.evaluation.portrait import SOURCES, PortraitTruth
 from facerelight.evaluation.scan import ScannedHead
 from facerelight.photo import PhotoRelighter, crop_frame, load_relighter
-from facerelight.photo.files import SUFFIXES, read_photo, write_photo
+from facerelight.photo.files.disk import SUFFIXES, read_photo, write_photo
 from facerelight.relighter import StatisticalRelighter
 from facerelight.sources import Lamp
 

@@ -25,9 +25,9 @@ from facerelight.bootstrap.heads import MakeHumanHeads, place_in_frame, rotate
 from facerelight.bootstrap.scene import plan_effects, shade, view_surface
 from facerelight.bootstrap.skin import Look
 from facerelight.lights import light_from_angles
-from facerelight.photo.face_mesh import fit_face_mesh
-from facerelight.photo.head_pose import HeadPose, canonical_face
-from facerelight.photo.landmarks import find_faces
+from facerelight.photo.faces.face_mesh import fit_face_mesh
+from facerelight.photo.faces.head_pose import HeadPose, canonical_face
+from facerelight.photo.faces.landmarks import find_faces
 
 FRAME = CropFrame(400, 360, 0.55)  # a head with some background
 PITCH = 8.0  # heads look up by so much, as in the model's own renderings

@@ -13,13 +13,13 @@ import torch
 from PIL import Image
 
 import facerelight.photo
-import facerelight.photo.landmarks as landmarks_module
+import facerelight.photo.faces.landmarks as landmarks_module
 import facerelight.photo.session as session_module
 from facerelight.cli import QUALITIES, main
 from facerelight.config import QUALITIES as CONFIGS
 from facerelight.photo import command
-from facerelight.photo.files import read_photo
-from facerelight.photo.landmarks import Face, LandmarksNotFoundError
+from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError
+from facerelight.photo.files.disk import read_photo
 from facerelight.photo.scenes import Scene, join_values, parse_lamp, parse_scenes, scene_paths
 from facerelight.relighter import METHODS, StatisticalRelighter
 from facerelight.sources import Lamp

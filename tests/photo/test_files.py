@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms, ImageOps, features
 
-from facerelight.photo.exif import turn_upright
-from facerelight.photo.files import check_writable, find_photos, not_held, read_photo, write_photo
-from facerelight.photo.photograph import PhotoFile, from_pillow, to_pillow
-from facerelight.photo.profiles import SRGB, PlainCmyk, TableProfile, read_profile
-from facerelight.photo.sixteen_bits import write_png, write_tiff
+from facerelight.photo.files.disk import check_writable, find_photos, not_held, read_photo, write_photo
+from facerelight.photo.files.exif import turn_upright
+from facerelight.photo.files.photograph import PhotoFile, from_pillow, to_pillow
+from facerelight.photo.files.profiles import SRGB, PlainCmyk, TableProfile, read_profile
+from facerelight.photo.files.sixteen_bits import write_png, write_tiff
 
 P3 = ((0.51512, 0.24120, -0.00105), (0.29198, 0.69225, 0.04189), (0.15710, 0.06657, 0.78407))  # XYZ, D50
 NOISE = np.random.default_rng(0)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from facerelight.photo import networks
-from facerelight.photo.copies import brighten
-from facerelight.photo.face_mesh import fit_face_mesh
-from facerelight.photo.head_pose import HeadPose, canonical_face, fit_rigid_face
-from facerelight.photo.landmarks import LandmarksNotFoundError, face_at, find_faces, find_landmarks
+from facerelight.photo.faces.copies import brighten
+from facerelight.photo.faces.face_mesh import fit_face_mesh
+from facerelight.photo.faces.head_pose import HeadPose, canonical_face, fit_rigid_face
+from facerelight.photo.faces.landmarks import LandmarksNotFoundError, face_at, find_faces, find_landmarks
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "measure" / "landmarks.py"
 MARKS = np.array(((202.0, 101.0), (247.0, 103.0), (221.0, 144.0)))  # read off the photo by eye
@@ -251,7 +251,7 @@ def test_cascades_stand_in(astronaut: np.ndarray, monkeypatch: pytest.MonkeyPatc
     def broken(*_: object) -> None:
         raise RuntimeError("yunet.onnx: the file is damaged")
 
-    monkeypatch.setattr("facerelight.photo.landmarks.detect_faces", broken)
+    monkeypatch.setattr("facerelight.photo.faces.landmarks.detect_faces", broken)
     with pytest.warns(RuntimeWarning, match=r"damaged.*cascades"):
         (face,) = find_faces(astronaut)
     assert face.points is None
@@ -260,7 +260,7 @@ def test_cascades_stand_in(astronaut: np.ndarray, monkeypatch: pytest.MonkeyPatc
     assert np.abs(face.landmarks - MARKS).max() < 6
     with pytest.raises(RuntimeError, match="damaged"):
         find_landmarks(astronaut, "yunet")
-    monkeypatch.setattr("facerelight.photo.landmarks.fit_face_mesh", broken)
+    monkeypatch.setattr("facerelight.photo.faces.landmarks.fit_face_mesh", broken)
     with pytest.warns(RuntimeWarning, match="no dense points"):
         bare = face_at(astronaut, MARKS)
     assert np.array_equal(bare.landmarks, MARKS)

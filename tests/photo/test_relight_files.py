@@ -10,8 +10,8 @@ from test_files import WIDE
 
 from facerelight.cli import main
 from facerelight.photo import relight
-from facerelight.photo.files import read_photo
-from facerelight.photo.sixteen_bits import write_png
+from facerelight.photo.files.disk import read_photo
+from facerelight.photo.files.sixteen_bits import write_png
 from facerelight.relighter import StatisticalRelighter
 
 MARKS = ((202.0, 101.0), (247.0, 103.0), (221.0, 144.0))

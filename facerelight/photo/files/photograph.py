@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from PIL import Image
 
-from facerelight.photo.exif import exif_of, turn_upright
-from facerelight.photo.profiles import (
+from facerelight.photo.files.exif import exif_of, turn_upright
+from facerelight.photo.files.profiles import (
     SRGB,
     SRGB_GREY,
     PlainCmyk,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Grid
+from facerelight.photo.bust.frame import Grid
 
 __all__ = ["Relief", "draw_mesh", "harmonic", "unit_vectors"]
 

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, UnidentifiedImageError, features
 
-from facerelight.photo.photograph import PhotoFile, finished, from_pillow, to_pillow
-from facerelight.photo.profiles import eight_bits, to_image
-from facerelight.photo.sixteen_bits import has_sixteen_bits, read_sixteen_bits, write_png, write_tiff
+from facerelight.photo.files.photograph import PhotoFile, finished, from_pillow, to_pillow
+from facerelight.photo.files.profiles import eight_bits, to_image
+from facerelight.photo.files.sixteen_bits import has_sixteen_bits, read_sixteen_bits, write_png, write_tiff
 
 __all__ = [
     "SUFFIXES",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Window
+from facerelight.photo.bust.frame import Window
 
 __all__ = ["as_bytes", "as_rgb", "like", "small_copy"]
 

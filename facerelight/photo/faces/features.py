@@ -8,8 +8,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Window
-from facerelight.photo.head_pose import INNER_LIPS, LEFT_EYE, LIPS, RIGHT_EYE
+from facerelight.photo.bust.frame import Window
+from facerelight.photo.faces.head_pose import INNER_LIPS, LEFT_EYE, LIPS, RIGHT_EYE
 
 __all__ = ["Features", "facial_features"]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.copies import shrink
+from facerelight.photo.faces.copies import shrink
 from facerelight.photo.networks import YUNET, network_path
 
 __all__ = ["Candidate", "detect_faces", "merge_candidates"]

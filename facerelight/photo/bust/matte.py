@@ -11,7 +11,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import Window, compose
+from facerelight.photo.bust.frame import Window, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
 __all__ = ["person_matte"]

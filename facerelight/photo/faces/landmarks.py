@@ -14,11 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.photo.copies import brighten, shrink
-from facerelight.photo.face_detector import Candidate, detect_faces, merge_candidates
-from facerelight.photo.face_mesh import fit_face_mesh
-from facerelight.photo.haar import haar_landmarks
-from facerelight.photo.head_pose import HeadPose, RigidFit, canonical_face, fit_rigid_face, model_landmarks
+from facerelight.photo.faces.copies import brighten, shrink
+from facerelight.photo.faces.detector import Candidate, detect_faces, merge_candidates
+from facerelight.photo.faces.face_mesh import fit_face_mesh
+from facerelight.photo.faces.haar import haar_landmarks
+from facerelight.photo.faces.head_pose import HeadPose, RigidFit, canonical_face, fit_rigid_face, model_landmarks
 
 __all__ = ["Face", "HeadPose", "LandmarksNotFoundError", "face_at", "find_faces", "find_landmarks"]
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.frame import BUST, FINE, between
-from facerelight.photo.mesh import draw_mesh, harmonic, unit_vectors
+from facerelight.photo.bust.frame import BUST, FINE, between
+from facerelight.photo.bust.mesh import draw_mesh, harmonic, unit_vectors
 
 __all__ = ["Bust", "MeanBust", "fit_bust", "head_rotation", "make_bust", "mean_bust"]
 
@@ -68,7 +68,7 @@ class Bust(NamedTuple):
 def mean_bust() -> MeanBust:
     """The mean of rendered heads (CC0), packed by ``scripts/data/pack_mean_bust.py``; read once a process."""
     with (
-        files("facerelight.photo").joinpath("data/mean_bust.npz").open("rb") as file,
+        files("facerelight.photo.bust").joinpath("mean_bust.npz").open("rb") as file,
         np.load(file, allow_pickle=False) as data,
     ):
         vertices, points, network = (data[name].astype(np.float64) for name in ("vertices", "points", "network"))

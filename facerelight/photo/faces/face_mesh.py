@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.photo.copies import brighten
+from facerelight.photo.faces.copies import brighten
 from facerelight.photo.networks import FACE_MESH, network_path
 
 __all__ = ["FaceMesh", "fit_face_mesh"]

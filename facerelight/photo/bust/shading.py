@@ -9,8 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facerelight.photo.bust import BELOW, Bust
-from facerelight.photo.frame import BUST, FINE
+from facerelight.photo.bust.frame import BUST, FINE
+from facerelight.photo.bust.surface import BELOW, Bust
 
 __all__ = ["BustShading", "horizon", "visible_share"]
 
