@@ -36,12 +36,16 @@ def darker(photo: np.ndarray, where: np.ndarray, share: float = 0.5) -> np.ndarr
 
 
 def test_no_change_no_fault(photo: np.ndarray) -> None:
-    values = photograph_measures(photo, photo, LANDMARKS, FRAME, np.zeros(SHAPE), 1)
+    matte = np.ones(SHAPE)
+    matte[:2] = 0
+    values = photograph_measures(photo, photo, LANDMARKS, FRAME, matte, 1)
     assert set(values) == set(MEASURES)
     assert values["pigment"] == pytest.approx(1)
-    for name in ("cut", "step", "lit_half", "black", "halo"):
+    for name in ("cut", "step", "lit_half", "black", "halo", "clipped"):
         assert values[name] == 0
-    assert np.isnan(values["clipped"])  # nobody in the matte
+    nobody = photograph_measures(photo, photo, LANDMARKS, FRAME, np.zeros(SHAPE), 1)
+    assert np.isnan(nobody["clipped"])
+    assert np.isnan(nobody["step"])
 
 
 def test_a_cut_at_the_crops_top(photo: np.ndarray) -> None:

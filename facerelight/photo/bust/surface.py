@@ -16,6 +16,7 @@ import numpy as np
 
 from facerelight.photo.bust.frame import BUST, FINE, between
 from facerelight.photo.bust.mesh import draw_mesh, harmonic, unit_vectors
+from facerelight.photo.faces.head_pose import fit_rigid_face
 
 __all__ = ["Bust", "MeanBust", "fit_bust", "head_rotation", "make_bust", "mean_bust"]
 
@@ -43,13 +44,12 @@ FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), (
 
 
 class MeanBust(NamedTuple):
-    """``vertices (V, 3)``, ``triangles (T, 3)``; ``points (468, 3)`` of the face mesh on its surface; ``network (468, 3)``, the same as the
-    network sees them from the front. Bust coordinates with z towards the viewer."""
+    """``vertices (V, 3)``, ``triangles (T, 3)``; ``points (468, 3)`` of the face mesh on its surface. Bust coordinates with z
+    towards the viewer."""
 
     vertices: np.ndarray
     triangles: np.ndarray
     points: np.ndarray
-    network: np.ndarray
 
 
 class Bust(NamedTuple):
@@ -71,15 +71,15 @@ def mean_bust() -> MeanBust:
         files("facerelight.photo.bust").joinpath("mean_bust.npz").open("rb") as file,
         np.load(file, allow_pickle=False) as data,
     ):
-        vertices, points, network = (data[name].astype(np.float64) for name in ("vertices", "points", "network"))
-        return MeanBust(vertices, data["triangles"].astype(np.int64), points, network)
+        vertices, points = (data[name].astype(np.float64) for name in ("vertices", "points"))
+        return MeanBust(vertices, data["triangles"].astype(np.int64), points)
 
 
 def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0)) -> np.ndarray:
     """Vertices ``(V, 3)`` of the mean bust, its head turned and warped to a face's dense ``points``, its body upright.
 
-    The pose is the rotation that takes the network's points of the mean head to those of the face (orthogonal Procrustes); scale and place
-    are least squares in the picture; what is left moves the surface nearby, each point with a Gaussian weight.
+    Scale and place are least squares in the picture; what is left moves the surface nearby, each point with a Gaussian
+    weight.
 
     Args:
         points: ``(468, 3)`` in bust coordinates; None: the head looks straight ahead.
@@ -110,12 +110,8 @@ def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0))
 
 
 def head_rotation(points: np.ndarray) -> np.ndarray:
-    """How a head is turned: the rotation ``(3, 3)`` that takes the network's points of the mean head nearest to a face's dense ``points
-    (468, 3)`` in bust coordinates, up to scale and shift (Kabsch 1976)."""
-    source = mean_bust().network
-    a, b = source - source.mean(0), points - points.mean(0)
-    u, _, vt = np.linalg.svd(b.T @ a)
-    return u @ np.diag((1.0, 1.0, np.sign(np.linalg.det(u @ vt)))) @ vt
+    """How a head is turned, as a rotation ``(3, 3)`` of bust coordinates, from a face's dense ``points (468, 3)`` in them."""
+    return fit_rigid_face(points[:, :2] * (1, -1)).rotation
 
 
 def make_bust(

