@@ -23,8 +23,9 @@ __all__ = ["FaceEvidence", "LightRatio"]
 DARK = 0.02  # of the face's mean radiance: below it ratios level out
 LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
 COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
-EDGES = 0.9  # of the face's fine shading is the bust's
+EDGES = 0.85  # of the face's fine shading is the bust's
 FAINT_FACE, FAINT = 0.005, 0.02  # of the brightest bust shading: below it ratios level out
+AROUND, HEARSAY = 0.1, 0.02  # units over which, and weight with which, the unsure is asked
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
@@ -65,8 +66,8 @@ class LightRatio:
         self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
         self._near_rim = _blur(self.rim, JOIN * FINE.density)
         self.trust = crop_onto(face.trust.astype(np.float32), crop, FINE)
-        self._sure = (self.trust + 0.08) * (self.weight > 0)
-        self._around = np.maximum(_blur(self._sure, 0.06 * FINE.density), 1e-4)
+        self._sure = (self.trust + HEARSAY) * (self.weight > 0)
+        self._around = np.maximum(_blur(self._sure, AROUND * FINE.density), 1e-4)
         self._fully_lit = np.maximum(_blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
         self.dark = DARK * max(mean, 1e-3)
@@ -88,7 +89,7 @@ class LightRatio:
         inner = (
             inner + self._changed(inner) * self.unexplained
         )  # what the photograph's own light left unexplained goes with it
-        around = _blur(inner * self._sure, 0.06 * FINE.density) / self._around
+        around = _blur(inner * self._sure, AROUND * FINE.density) / self._around
         inner = self.trust * inner + (1 - self.trust) * around  # what is unsure follows what surrounds it
         outer = self._bust_ratio(bust, FAINT)
         level = float((self.rim * (inner - outer)).sum() / max(float(self.rim.sum()), 1e-6))

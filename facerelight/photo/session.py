@@ -45,8 +45,9 @@ LIFT, ROOM = (
     0.9,
 )  # a dark photograph's lit side is exposed up by so much, in log; one as bright as the second not at all
 DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
-EYEBALL = 0.3  # of a log ratio that wet eyes do not follow: they mirror the room
+EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
+LEAST_SCORE = 0.5  # of the mesh network: below it there are no dense points where the landmarks were given
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
@@ -386,7 +387,8 @@ def _locate(pixels: np.ndarray, landmarks: Landmarks | None, face: Face | None) 
     if landmarks is not None:
         points = np.asarray(landmarks, dtype=np.float64)
         _check_landmarks(points, pixels.shape)
-        return face_at(as_bytes(pixels), points)
+        found = face_at(as_bytes(pixels), points)
+        return found if found.mesh_score >= LEAST_SCORE else found._replace(points=None, pose=None)
     faces = find_faces(as_bytes(pixels))
     if not faces:
         raise LandmarksNotFoundError(

@@ -18,6 +18,7 @@ __all__ = ["person_matte"]
 
 NETWORK_SIZE = (256, 256)
 RADIUS = 0.10  # of the guided filter, in units
+SEEN = 0.4  # of the face at least, else the network has not seen the person
 EDGE = 1e-4 * 255**2  # variance of colour, in grey levels, that counts as an edge
 
 
@@ -32,6 +33,11 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         cover = _network_cover(image, window)
     except (cv2.error, RuntimeError):
         cover = _grabcut_cover(image, window)
+    x, y = window.places()
+    oval = np.hypot(x, (y + 0.42) / 1.42)  # of the face, 1 on its outline
+    if float(cover[oval < 0.7].mean()) < SEEN:  # no person where the face is: the face alone
+        rim = np.clip((1 - oval) / 0.4, 0, 1)
+        return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
     return np.clip((fine - 0.12) / 0.76, 0, 1)

@@ -56,7 +56,7 @@ def draw_mesh(
     corners = np.concatenate((flat, vertices[:, 2:], normals), 1).astype(np.float32)  # (V, 6)
     classes = np.searchsorted(SIZES, extent)
     parts = [
-        np.matmul(_even_shares(size), corners[kept[classes == k]]).reshape(-1, 6)
+        np.matmul(_even_shares(size + size // 2 + 1), corners[kept[classes == k]]).reshape(-1, 6)
         for k, size in enumerate(SIZES)
         if (classes == k).any()
     ]

@@ -38,7 +38,7 @@ HAIR_ENDS, HAIR_SINKS = (
     -1.2,
 )  # below the first height hair lies closer to the body, below the second on it
 CLOTHES_BLUR = 0.15  # of heights, in units: no hard shadow falls where only the matte tells of a surface
-FEATURE_BLUR = 0.025  # of normals at eyes and lips, in units: they open and close
+FEATURE_BLUR = 0.018  # of normals at eyes and lips, in units: they open and close
 FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
 """Places on the mean bust, and how far eyes and lips reach across and up, in units."""
 
