@@ -1,18 +1,28 @@
 """Protocol portrait-A: whole heads relit in colour, against a ray-traced scan of several skin tones.
 
 python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --tone fair,deep --json portrait.json
+python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --methods all --csv scripts/results/portrait.csv
 
-The scan is Lee Perry-Smith's (CC-BY 3.0): lps_head.npz (vertices, triangles, uv) and color.jpg.
+A row a method: the package, and the package without one of its parts (``--methods all``), which says what each is
+worth. The scan is Lee Perry-Smith's (CC-BY 3.0): lps_head.npz (vertices, triangles, uv) and color.jpg.
 """
 
 import argparse
+import csv
+import datetime
 import inspect
 import json
+import os
+import shlex
+import statistics
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,8 +30,11 @@ import torch
 
 from facerelight.evaluation.portrait import MEASURES, Make, PortraitTruth, Render, mean_scores, run_portraits
 from facerelight.evaluation.scan import TONES, ScannedHead
-from facerelight.photo import PhotoRelighter, load_relighter
+from facerelight.photo import PhotoRelighter, colour, load_relighter, ratio
+from facerelight.photo import session as photo_session
+from facerelight.photo.bust.shading import BustShading
 from facerelight.relighter import StatisticalRelighter
+from facerelight.sources import Lamp
 
 SHEET = ((0, "front", "left"), (0, "front", "top"), (-1, "window", "left"), (-1, "window", "top"))
 TILE = (224, 244)  # width and height, pixels
@@ -45,6 +58,73 @@ def facerelight(load: Callable[[], StatisticalRelighter], **options: object) -> 
     return make
 
 
+# -- the package without one of its parts -----------------------------------------------------------------------------
+class Part(NamedTuple):
+    """What a part is switched off by: ``(owner, name, value)`` of constants or functions. ``late``: only once a photo is
+    conditioned, where what is known of the photo needs the part too."""
+
+    off: Sequence[tuple[Any, str, Any]]
+    late: bool = False
+
+
+def _no_highlight(scene: np.ndarray, diffuse: np.ndarray, whole: Any = colour.part_highlight) -> Any:
+    amount, highlight = whole(scene, diffuse)
+    return amount, np.zeros_like(highlight)
+
+
+def _mean_bust(points: np.ndarray | None, down: tuple[float, float], fit: Any = photo_session.fit_bust) -> Any:
+    return fit(None, down)
+
+
+PARTS: dict[str, Part] = {
+    "no camera curve": Part([(colour, "SHOULDER", 0.0), (colour, "TOE", 1.0)]),
+    "no highlight parting": Part([(colour, "part_highlight", _no_highlight)], late=True),
+    "no warm shade": Part([(colour, "WARM", 0.0)]),
+    "no white light": Part([(colour, "_clean_light", lambda *_: np.float32(0))]),
+    "no rolling off": Part([(colour, "KNEE", 1e6)]),
+    "no held pigment": Part([(photo_session, "HELD", 0.0)]),
+    "no remainder": Part([(ratio, "SAME_LIGHT", 1e6)]),
+    "no deepening": Part([(ratio, "LEAK", 1e-6)]),
+    "no bust edges": Part([(ratio, "EDGES", 0.0)]),
+    "no crisp": Part([(ratio, "SOFT", 0.0)]),
+    "no cast shadows": Part([(BustShading, "_sees_all", lambda *_: True)]),
+    "mean bust": Part([(photo_session, "fit_bust", _mean_bust)]),
+    "no join": Part([(ratio, "LEVEL", 0.0), (ratio, "NEAR_RIM", 0.0)]),
+    "face only": Part([(ratio, "BUST_DARKEST", 0.0), (ratio, "BUST_BRIGHTEST", 0.0)]),
+}
+"""In the order in which light goes through them, last first."""
+
+
+@contextmanager
+def without(part: Part) -> Iterator[None]:
+    """The package without a part, as long as it lasts."""
+    kept = [(owner, name, getattr(owner, name)) for owner, name, _ in part.off]
+    for owner, name, value in part.off:
+        setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        for owner, name, value in kept:
+            setattr(owner, name, value)
+
+
+def ablated(whole: Make, part: Part) -> Make:
+    """``whole`` without ``part``."""
+
+    def make(photo: np.ndarray, landmarks: np.ndarray) -> Render:
+        with without(Part([]) if part.late else part):
+            render = whole(photo, landmarks)
+            render([Lamp(20, 10)], 0.1)  # stages of the photo run at their first use
+
+        def other(lamps: Sequence[Lamp], fill: float) -> np.ndarray:
+            with without(part):
+                return render(lamps, fill)
+
+        return other
+
+    return make
+
+
 def registry(statistics: Path | None) -> dict[str, Make]:
     """All methods, by name; ``statistics`` are loaded when a method first asks for them."""
 
@@ -52,15 +132,64 @@ def registry(statistics: Path | None) -> dict[str, Make]:
     def load() -> StatisticalRelighter:
         return StatisticalRelighter.from_pretrained(statistics) if statistics else load_relighter()
 
-    return {"copy": copy, "facerelight": facerelight(load)}
+    whole = facerelight(load)
+    return {"copy": copy, "facerelight": ablated(whole, Part([]))} | {
+        name: ablated(whole, part) for name, part in PARTS.items()
+    }
+
+
+def timed(make: Make, seconds: list[float]) -> Make:
+    """``make``, whose renders put their seconds into a list; what is done for the photo is not counted."""
+
+    def wrapped(photo: np.ndarray, landmarks: np.ndarray) -> Render:
+        render = make(photo, landmarks)
+
+        def clocked(lamps: Sequence[Lamp], fill: float) -> np.ndarray:
+            started = time.perf_counter()
+            output = render(lamps, fill)
+            seconds.append(time.perf_counter() - started)
+            return output
+
+        return clocked
+
+    return wrapped
 
 
 # -- report -----------------------------------------------------------------------------------------------------------
-def table(results: dict[str, dict[str, float]]) -> str:
+def table(results: Mapping[str, Mapping[str, float]]) -> str:
     """One row a method."""
-    rows = [("", [f"{name:>10s}" for name in MEASURES])]
-    rows += [(name, [f"{means[measure]:10.3f}" for measure in MEASURES]) for name, means in results.items()]
-    return "\n".join(f"{name:16s}" + " ".join(cells) for name, cells in rows)
+    columns = (*MEASURES, "ms a light")
+    rows = [("", [f"{name:>10s}" for name in columns])]
+    rows += [(name, [f"{means[column]:10.3f}" for column in columns]) for name, means in results.items()]
+    return "\n".join(f"{name:22s}" + " ".join(cells) for name, cells in rows)
+
+
+def machine() -> str:
+    """What the times were taken on."""
+    return f"{os.cpu_count()} cores, no GPU, threads used: {torch.get_num_threads()}"
+
+
+def commit() -> str:
+    """Of this checkout."""
+    said = subprocess.run(
+        ["git", "describe", "--always", "--dirty", "--abbrev=7"],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+    )
+    return said.stdout.strip() or "unknown"
+
+
+def write_csv(path: Path, results: Mapping[str, Mapping[str, float]], of: str) -> None:
+    """A row a method, and above them, behind ``#``, how they came about."""
+    columns = ("method", *MEASURES, "ms a light")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        file.write(f"# command: python {shlex.join(sys.argv)}\n# date: {datetime.date.today()}\n")
+        file.write(f"# machine: {machine()}\n# commit: {of}\n")
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({"method": name, **means} for name, means in results.items())
 
 
 def sheet(images: dict[tuple[str, str], np.ndarray], tones: Sequence[str], columns: Sequence[str]) -> np.ndarray:
@@ -82,16 +211,21 @@ def main() -> int:
     parser.add_argument("--data", type=Path, required=True, help="folder with lps_head.npz and color.jpg")
     parser.add_argument("--tone", default="fair,deep", help=f"of {', '.join(TONES)}: several with commas")
     parser.add_argument("--yaw", type=float, default=0.0, help="degrees by which the head turns")
-    parser.add_argument("--methods", default="copy,facerelight", help="several with commas")
+    parser.add_argument("--methods", default="copy,facerelight", help="several with commas, or all")
     parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the cached one")
     parser.add_argument("--cache", type=Path, default=None, help="of ray-traced light; default: the user's")
     parser.add_argument("--output", type=Path, default=None, help="folder for pictures")
+    parser.add_argument("--threads", type=int, default=2, help="default: 2")
     parser.add_argument("--json", type=Path, default=None)
+    parser.add_argument("--csv", type=Path, default=None, help="a row a method")
     args = parser.parse_args()
 
     torch.set_grad_enabled(False)
-    started = time.perf_counter()
-    known, names, tones = registry(args.statistics), args.methods.split(","), args.tone.split(",")
+    torch.set_num_threads(args.threads)
+    cv2.setNumThreads(args.threads)
+    started, of = time.perf_counter(), commit()
+    known, tones = registry(args.statistics), args.tone.split(",")
+    names = list(known) if args.methods == "all" else args.methods.split(",")
     for wanted, among, option in ((names, known, "--methods"), (tones, TONES, "--tone")):
         if unknown := [name for name in wanted if name not in among]:
             parser.error(f"{option}: expected some of {', '.join(among)}, got {unknown[0]!r}")
@@ -101,15 +235,23 @@ def main() -> int:
     def keep(case: str, method: str, image: np.ndarray) -> None:
         images[case, method] = image
 
-    cases = run_portraits((PortraitTruth(head, tone) for tone in tones), {name: known[name] for name in names}, keep)
+    seconds: dict[str, list[float]] = {name: [] for name in names}
+    methods = {name: timed(known[name], seconds[name]) for name in names}
+    cases = run_portraits((PortraitTruth(head, tone) for tone in tones), methods, keep)
     results = {name: mean_scores(by_case) for name, by_case in cases.items()}
+    for name, taken in seconds.items():
+        results[name]["ms a light"] = round(1000 * statistics.median(taken), 1)
     print(table(results))
+    print(f"machine: {machine()}")
+    if args.csv:
+        write_csv(args.csv, results, of)
     if args.json:
         report = {
             "protocol": "portrait-A",
             "tones": tones,
             "yaw_deg": args.yaw,
             "statistics": str(args.statistics or "default"),
+            "machine": machine(),
             "results": results,
             "cases": cases,
             "seconds": round(time.perf_counter() - started, 1),
