@@ -121,7 +121,10 @@ def skin_colour(
     relative = (scene @ LUMA) / np.maximum(of_skin, 1e-4)
     inside = np.clip((1.1 - oval) / 0.15, 0, 1)
     lit = np.maximum(skin, inside * (1 - features) * np.clip((relative - 0.15) / 0.2, 0, 1))
-    pigment = inside * np.clip((DARK_PIGMENT - relative) / 0.2, 0, 1) * np.clip(4 * near, 0, 1)
+    on_face = np.clip((1.25 - oval) / 0.5, 0, 1)
+    pigment = (
+        on_face * on_face * (3 - 2 * on_face) * np.clip((DARK_PIGMENT - relative) / 0.2, 0, 1) * np.clip(4 * near, 0, 1)
+    )
     return SkinColour(skin, diffuse, average.astype(np.float32), lit.astype(np.float32), pigment.astype(np.float32))
 
 

@@ -348,7 +348,8 @@ class PhotoRelighter:
         with self._log.measure("matte", "the picture shows more than the face"):
             matte = person_matte(np.round(self._copy * 255).astype(np.uint8), self.window)
             face = np.clip((1 - oval) / 0.3, 0, 1)
-            return np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)).astype(np.float32)
+            cover = np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)) * self.window.fade()
+            return cover.astype(np.float32)
 
     @cached_property
     def _skin(self) -> SkinColour:

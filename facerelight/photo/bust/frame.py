@@ -49,6 +49,7 @@ BUST = Grid(4.5, 3.5, -6.5, 24)
 FINE = Grid(4.5, 3.5, -6.5, 64)
 """The same, fine enough for the edges of shadows and for the face."""
 REACH = (4.6, 3.6, 6.2)  # of the window, in units: to each side, above and below the eyes
+FADE = (1.2, 2.0)  # units over which the window ends at its sides and below
 LARGEST_SIDE = 800  # pixels of the window at which maps are made
 
 
@@ -73,6 +74,15 @@ class Window:
         column, row = np.meshgrid(np.arange(self.size[1], dtype=np.float32), np.arange(self.size[0], dtype=np.float32))
         x, y = (self.to_bust[k, 0] * column + self.to_bust[k, 1] * row + self.to_bust[k, 2] for k in range(2))
         return x, y
+
+    def fade(self) -> np.ndarray:
+        """1 on the bust, going over into 0 towards the window's ends, ``(h, w)``: a person may go on beyond them."""
+        x, y = self.places()
+        inside = np.minimum(
+            (y + REACH[2]) / FADE[1], np.minimum((REACH[0] - np.abs(x)) / FADE[0], (REACH[1] - y) / 0.5)
+        )
+        inside = np.clip(inside, 0, 1)
+        return (inside * inside * (3 - 2 * inside)).astype(np.float32)
 
     def onto(self, image: np.ndarray, grid: Grid, border: int = cv2.BORDER_REPLICATE) -> np.ndarray:
         """A map of the copy on ``grid``."""

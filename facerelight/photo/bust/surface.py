@@ -38,6 +38,7 @@ HAIR_ENDS, HAIR_SINKS = (
     -1.2,
 )  # below the first height hair lies closer to the body, below the second on it
 CLOTHES_BLUR = 0.15  # of heights, in units: no hard shadow falls where only the matte tells of a surface
+SHOULDERS = 2.0  # units to each side, as far as the mean body serves
 FEATURE_BLUR = 0.018  # of normals at eyes and lips, in units: they open and close
 FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), ((0.0, -1.17, 0.4), (0.5, 0.24)))
 """Places on the mean bust, and how far eyes and lips reach across and up, in units."""
@@ -126,10 +127,10 @@ def make_bust(
         down: the direction in which the neck leaves the head, a unit vector of the bust's x and y.
     """
     x, y = BUST.places()
-    low = -1.0 - (
-        x * down[0] + (y + 1.0) * down[1]
-    )  # along the neck, which leaves the head a unit below the eyes; upright: y
+    low = -1.0 - (x * down[0] + (y + 1.0) * down[1])  # along the neck, which leaves the head below the eyes; upright: y
+    aside = (y + 1.0) * down[0] - x * down[1]  # across it; upright: x
     z, normal, seen = draw_mesh(vertices, mean_bust().triangles, BUST)
+    seen &= (low > -1.5) | (np.abs(aside) < SHOULDERS)  # the mean body stretches its arms out
     person = matte > 0.5
     oval = np.hypot(x, (y + 0.42) / 1.42)
     rim, outward = _silhouette(matte, person, in_picture)
