@@ -155,3 +155,14 @@ def test_maps_of_a_linear_ramp_stay_linear() -> None:
     assert outside[np.hypot(x, y) > 3.4].min() == 9.0
     assert outside[np.hypot(x, y) < 0.4].max() == pytest.approx(1.0)
     assert crop_onto(np.ones((CROP.height, CROP.width), np.float32), CROP, BUST, 5.0)[0, 0] == 5.0
+
+
+def test_window_fades_out_towards_its_ends() -> None:
+    """1 over head and shoulders, 0 at the window's sides, top and bottom, never steeper than over half a unit."""
+    window, _ = window_of(MARKS + np.array((1000, 800)), (4000, 5000))
+    fade, (x, y) = window.fade(), window.places()
+    assert fade[(np.abs(x) < 3.3) & (y < 3) & (y > -4.1)].min() == 1
+    assert fade[(np.abs(x) > 4.6) | (y > 3.6) | (y < -6.2)].max() < 1e-6
+    assert fade[-3].max() < 0.01
+    assert fade[:, :2].max() < 0.01
+    assert np.abs(np.gradient(fade)).max() * window.unit < 3.1
