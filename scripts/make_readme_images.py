@@ -1,4 +1,4 @@
-"""Make the pictures of the README: a relit public-domain photo, and what the light angles mean on a rendered head.
+"""Make the pictures of the README: a public-domain photo relit by soft and by hard lamps, and what the light angles mean on a rendered head.
 
 python scripts/make_readme_images.py --photo astronaut.png --output .github/images
 """
@@ -6,6 +6,7 @@ python scripts/make_readme_images.py --photo astronaut.png --output .github/imag
 import argparse
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from facerelight.alignment import CropFrame
@@ -14,21 +15,33 @@ from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.lights import light_from_angles
 from facerelight.photo import PhotoRelighter
 from facerelight.photo.files.disk import read_photo
+from facerelight.sources import Lamp
 from facerelight.visualize import contact_sheet, needle_map
 
-LIGHTS = ((60, 0), (30, 0), (0, 0), (-30, 0), (-60, 0), (0, 45), (45, 30), (-45, 30), (0, -30))
+SIZES = {"soft, 20 degrees": 20.0, "hard, 1 degree": 1.0}
+FILL = 0.08
+
+
+def lights(size: float) -> dict[str, list[Lamp]]:
+    """Lamps by what the picture is called."""
+    key = [Lamp(45, 30, size), Lamp(-60, 10, 25, power=0.3, colour=(0.7, 0.85, 1.0))]
+    left, right, top = (Lamp(azimuth, elevation, size) for azimuth, elevation in ((60, 0), (-60, 0), (0, 35)))
+    return {"azimuth 60": [left], "azimuth -60": [right], "elevation 35": [top], "key 45, 30 and a cold fill": key}
 
 
 def relit_sheet(photo: Path, output: Path) -> None:
-    """The face of the photo, and relit under nine lights."""
-    session = PhotoRelighter(read_photo(photo).rgb)
-    middle, reach = session.landmarks.mean(0), float((session.landmarks[1] - session.landmarks[0]).norm()) * 2.2
-    left, top, right, bottom = (int(v) for v in (*(middle - reach).clamp_min(0), *(middle + reach)))
-    view = (slice(top, bottom), slice(left, right))
-    pictures = [(session.coded[0].permute(1, 2, 0).numpy() * 255).astype("uint8")[view]]
-    pictures += [session.render(*light)[view] for light in LIGHTS]
-    names = ["photo", *(f"azimuth {a:+d}, elevation {e:+d}" for a, e in LIGHTS)]
-    contact_sheet([pictures[:5], pictures[5:]], [names[:5], names[5:]], output / "relit.png", height=2.1)
+    """Head and shoulders of the photo, and relit by lamps from four sides, soft and hard."""
+    pixels = read_photo(photo).pixels
+    session = PhotoRelighter(pixels)
+    (x, y), unit = session.landmarks[:2].mean(0).tolist(), float((session.landmarks[1] - session.landmarks[0]).norm())
+    side = slice(max(0, int(x - 2.6 * unit)), int(x + 2.6 * unit))
+    view = (slice(max(0, int(y - 2.2 * unit)), int(y + 3.8 * unit)), side)
+    rows, names = [], []
+    for kind, size in SIZES.items():
+        scenes = lights(size)
+        rows.append([pixels[view], *(session.render(lamps, fill=FILL)[view] for lamps in scenes.values())])
+        names.append([f"photo; lamps {kind}", *scenes])
+    contact_sheet(rows, names, output / "relit.png", height=2.2)
     needle_map(session.relighter.statistics.n_mean, output / "needles.png")
 
 
