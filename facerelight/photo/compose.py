@@ -22,12 +22,13 @@ STRIP = 1 << 17  # pixels worked on at once
 
 
 class Changes(NamedTuple):
-    """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's ``cover (h, w)`` in 0..1, and
-    ``strength``, from 0 (nothing) to 1 (all of it)."""
+    """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's ``cover (h, w)`` in 0..1,
+    ``change``, how surely the light is another, 0 to 1, and ``strength``, from 0 (nothing) to 1 (all of it)."""
 
     log_ratio: np.ndarray
     skin: SkinColour
     cover: np.ndarray
+    change: float
     strength: float
 
 
@@ -41,6 +42,7 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
     if changes.strength == 0:
         return out
     rows = max(1, STRIP // width)
+    per_pixel = {name: image for name, image in changes.skin._asdict().items() if image.ndim > 1}
 
     def change(top: int) -> None:
         strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
@@ -48,13 +50,11 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
         cover = _part(changes.cover, top, len(source), (height, width))[..., None] * np.float32(changes.strength)
         if not cover.any():
             return
-        skin = changes.skin
-        log_ratio, where, lit, diffuse = (
-            _part(image, top, len(source), (height, width))
-            for image in (changes.log_ratio, skin.skin, skin.lit, skin.diffuse)
-        )
+        maps = {name: _part(image, top, len(source), (height, width)) for name, image in per_pixel.items()}
+        colour = changes.skin._replace(**maps)
+        log_ratio = _part(changes.log_ratio, top, len(source), (height, width)).reshape(*cover.shape[:2], -1)
         scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
-        relit = relit_radiance(scene, log_ratio.reshape(*where.shape, -1), where, lit, diffuse, skin.typical)
+        relit = relit_radiance(scene, log_ratio, colour, changes.change)
         shown = to_display(scene + cover * (relit - scene), scene)
         out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
 

@@ -24,14 +24,15 @@ from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bu
 from facerelight.photo.bust.matte import person_matte
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
-from facerelight.photo.colour import LUMA, SkinColour, skin_colour, to_scene
+from facerelight.photo.colour import LUMA, SkinColour, to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.face_model import FaceModel, crop_frame
 from facerelight.photo.faces.features import Features, facial_features
 from facerelight.photo.faces.head_pose import HeadPose
 from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError, face_at, find_faces
 from facerelight.photo.files.pixels import as_bytes, as_rgb, like, small_copy
-from facerelight.photo.ratio import FaceEvidence, LightRatio
+from facerelight.photo.ratio import SAME_LIGHT, FaceEvidence, LightRatio
+from facerelight.photo.skin import skin_colour
 from facerelight.photo.stages import Stage, StageLog
 from facerelight.relighter import Method, StatisticalRelighter
 from facerelight.sources import Lamp, LightMixture, scene_light
@@ -48,6 +49,7 @@ DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
 LEAST_SCORE = 0.5  # of the mesh network: below it there are no dense points where the landmarks were given
+FEW = 50  # pixels of skin, fewer are not exposed for
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
@@ -290,12 +292,13 @@ class PhotoRelighter:
                 -1,
             )
             log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
-            log_ratio = log_ratio + self._exposure(log_ratio)
+            change = self._change(log_ratio)
+            log_ratio = log_ratio + self._exposure(log_ratio, change)
             held = 1 - HELD * self._skin.pigment[..., None]
             log_ratio = np.where(log_ratio > 0, held * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
-        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, float(strength))
+        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, change, float(strength))
         with self._log.measure("pixels", "the person's part of the picture"):
             relit = change_pixels(self._pixels, self.window, changes)
         return like(self.photo, relit)
@@ -310,19 +313,21 @@ class PhotoRelighter:
         part[...] = cv2.resize(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0), part.shape[::-1])
         return out
 
-    def _exposure(self, log_ratio: np.ndarray) -> float:
-        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was."""
+    def _change(self, log_ratio: np.ndarray) -> float:
+        """How surely the light is another, 0 to 1: what varies over the skin."""
+        skin = self._skin.skin * self._cover > 0.6
+        variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
+        return variance / (variance + SAME_LIGHT**2)
+
+    def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
+        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there is room."""
         luminance, skin = self._scene @ LUMA, self._skin.skin * self._cover > 0.6
-        if skin.sum() < 50:
+        if skin.sum() < FEW:
             return 0.0
         relit = luminance * np.exp(log_ratio.mean(-1))
-        gap = np.log(max(float(np.quantile(luminance[skin], EXPOSED)), 1e-4)) - np.log(
-            max(float(np.quantile(relit[skin], EXPOSED)), 1e-4)
-        )
-        spread = float(np.var(log_ratio.mean(-1)[skin]))
-        changed = spread / (spread + 0.05**2)  # the photo's own light is not exposed anew
-        room = changed * float(np.clip((ROOM - np.quantile(luminance[skin], EXPOSED)) / ROOM, 0, 1))
-        return float(np.clip(gap + LIFT * room, DARKER, BRIGHTER))
+        before, after = (max(float(np.quantile(values[skin], EXPOSED)), 1e-4) for values in (luminance, relit))
+        lift = LIFT * change * max(1 - before / ROOM, 0.0)
+        return float(np.clip(np.log(before / after) + lift, DARKER, BRIGHTER))
 
     @cached_property
     def _points(self) -> np.ndarray | None:
