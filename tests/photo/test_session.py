@@ -17,8 +17,8 @@ MARKS = np.array(((202.0, 101.0), (247.0, 103.0), (221.0, 144.0)))
 HALF = (MARKS + 0.5) / 2 - 0.5
 CHEEK_LEFT, CHEEK_RIGHT = (slice(115, 130), slice(198, 208)), (slice(115, 130), slice(236, 246))
 SKIN = slice(110, 135), slice(200, 245)
-CLOSE = slice(102, 148), slice(202, 248)  # from the eyes to the mouth: nothing but the face
-CLOSE_MARKS = np.array(((-0.4, -0.4), (45.4, -0.4), (22.5, 45.4)))
+CLOSE = slice(98, 148), slice(202, 248)  # from the eyes to the mouth: nothing but the face
+CLOSE_MARKS = np.array(((-0.4, -0.4), (45.4, -0.4), (22.5, 49.4)))
 
 
 @pytest.fixture(scope="module")
