@@ -1,7 +1,8 @@
 """What gives the light: lamps of any size, power and colour, a fill from all around, and weighted sums of directions.
 
-Light adds up, so every source is a sum of distant points, and a scene's light is the sum of its sources'. A lamp on a face is described the
-way photographers do: where it stands, how large it looks from the face, how strong it is and its colour.
+Light adds up, so every source is a sum of distant points, and a scene's light is the sum of its sources'. A lamp on a
+face is described the way photographers do: where it stands, how large it looks from the face, how strong it is and its
+colour.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 class LightMixture(NamedTuple):
     """Distant light as a weighted sum of points.
 
-    ``directions (P, 3)`` unit vectors; ``weights (P, 3)`` non-negative linear RGB, in units of a lamp of power 1; ``size (P,)`` degrees, the
-    angular radius of the source that a point stands for, which says how soft its shadows are; ``source (P,)`` int64, points of one number
-    make one source.
+    ``directions (P, 3)`` unit vectors; ``weights (P, 3)`` non-negative linear RGB, in units of a lamp of power 1;
+    ``size (P,)`` degrees, the angular radius of the source that a point stands for, which says how soft its shadows
+    are; ``source (P,)`` int64, points of one number make one source.
     """
 
     directions: Tensor
@@ -53,7 +54,8 @@ class Lamp:
     Args:
         azimuth: degrees; positive at image-left, beyond +-90 behind the face.
         elevation: degrees in [-90, 90]; positive above.
-        size: angular radius in degrees as seen from the face, 0 to 90: 1 a bare bulb, 5 a small reflector, 15 a soft box, 40 a window.
+        size: angular radius in degrees as seen from the face, 0 to 90: 1 a bare bulb, 5 a small reflector, 15 a soft
+            box, 40 a window.
         power: 1 lights the face from the camera as brightly as the photograph shows it.
         colour: linear RGB; its luminance is brought to 1, so that power alone says how strong the lamp is.
 
@@ -107,7 +109,8 @@ class Lamp:
 
 
 def fill_light(strength: float) -> LightMixture:
-    """Light from all around the front, brighter above: what walls and sky give; ``strength`` in units of a lamp at the camera."""
+    """Light from all around the front, brighter above: what walls and sky give; ``strength`` in units of a lamp at the
+    camera."""
     directions = even_hemisphere(FILL_POINTS)
     share = 0.6 + 0.4 * directions[:, 1]
     weights = (strength * FILL_STRENGTH * share / share.sum())[:, None].expand(-1, 3)

@@ -1,7 +1,8 @@
-"""Colour of a relit photograph: the camera's curve undone and redone, highlights parted from the skin's own colour, shade kept warm.
+"""Colour of a relit photograph: the camera's curve undone and redone, highlights parted from the skin's own colour,
+shade kept warm.
 
-A photograph is not radiance: cameras lift shade and roll highlights off. Ratios of light belong to radiance, so the curve is undone first
-and redone last; black, white and a ratio of 1 stay where they are.
+A photograph is not radiance: cameras lift shade and roll highlights off. Ratios of light belong to radiance, so the
+curve is undone first and redone last; black, white and a ratio of 1 stay where they are.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ KNEE, WHITEST = 0.75, 0.985  # linear: above the first what becomes brighter is 
 
 
 def to_scene(coded: np.ndarray) -> np.ndarray:
-    """sRGB-coded values in 0..1 to scene radiance ``e``, channel by channel: ``y = (1 + a) e^g / (1 + a e^g)`` with y decoded."""
+    """sRGB-coded values in 0..1 to scene radiance ``e``, channel by channel: ``y = (1 + a) e^g / (1 + a e^g)`` with y
+    decoded."""
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     return ((linear / (1 + SHOULDER - SHOULDER * linear)) ** (1 / TOE)).astype(np.float32)
 
@@ -36,7 +38,8 @@ def to_display(scene: np.ndarray, before: np.ndarray | None = None) -> np.ndarra
 
     Args:
         scene: ``(..., 3)`` radiance.
-        before: the photograph's own radiance. What becomes brighter than it spends the room that is left below white, and so never clips;
+        before: the photograph's own radiance. What becomes brighter than it spends the room that is left below white,
+            and so never clips;
             None: nothing is rolled off.
     """
     linear = _developed(scene)
@@ -59,10 +62,10 @@ def _developed(scene: np.ndarray) -> np.ndarray:
 class SkinColour(NamedTuple):
     """Skin on a window's copy, or a part of it, ``(h, w)`` and ``(h, w, 3)``.
 
-    ``skin`` 0 to 1, where skin is; ``diffuse``, its own colour of luminance 1, without highlights; ``typical (3,)``, the lit
-    skin's; ``cast``, by how much the light that falls on a place differs from that on the rest of the face, 1 where it does
-    not; ``lit`` 0 to 1, what is lit as skin though it may not look like it in coloured shade; ``pigment`` 0 to 1, beard,
-    brows and fringe on the face.
+    ``skin`` 0 to 1, where skin is; ``diffuse``, its own colour of luminance 1, without highlights; ``typical (3,)``,
+    the lit skin's; ``cast``, by how much the light that falls on a place differs from that on the rest of the face, 1
+    where it does not; ``lit`` 0 to 1, what is lit as skin though it may not look like it in coloured shade; ``pigment``
+    0 to 1, beard, brows and fringe on the face.
     """
 
     skin: np.ndarray
@@ -74,7 +77,8 @@ class SkinColour(NamedTuple):
 
 
 def part_highlight(scene: np.ndarray, diffuse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dichromatic parts of radiance: ``e = d diffuse + s (1, 1, 1)`` in least squares, s within the least channel; ``(h, w)`` each."""
+    """Dichromatic parts of radiance: ``e = d diffuse + s (1, 1, 1)`` in least squares, s within the least channel;
+    ``(h, w)`` each."""
     a11, a12 = np.square(diffuse) @ ONES, diffuse @ ONES
     b1, b2 = (scene * diffuse) @ ONES, scene @ ONES
     determinant = np.maximum(3 * a11 - a12**2, 1e-3)

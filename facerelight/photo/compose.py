@@ -1,4 +1,5 @@
-"""The photograph's own pixels under a new light: maps made on a small copy of the window, put on at full resolution, strip by strip.
+"""The photograph's own pixels under a new light: maps made on a small copy of the window, put on at full resolution,
+strip by strip.
 
 Nothing outside the person's cover is touched, and no more memory is taken than a strip of the window needs.
 """
@@ -22,8 +23,9 @@ STRIP = 1 << 17  # pixels worked on at once
 
 
 class Changes(NamedTuple):
-    """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's ``cover (h, w)`` in 0..1,
-    ``change``, how surely the light is another, 0 to 1, and ``strength``, from 0 (nothing) to 1 (all of it)."""
+    """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's
+    ``cover (h, w)`` in 0..1, ``change``, how surely the light is another, 0 to 1, and ``strength``, from 0 (nothing) to
+    1 (all of it)."""
 
     log_ratio: np.ndarray
     skin: SkinColour
@@ -35,7 +37,8 @@ class Changes(NamedTuple):
 def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.ndarray:
     """``pixels (H, W, 3)`` with the window changed; where the cover is 0 they keep their values.
 
-    The mixture of photo and relit picture is one of radiance, and a pixel whose radiance does not change keeps its own code.
+    The mixture of photo and relit picture is one of radiance, and a pixel whose radiance does not change keeps its own
+    code.
     """
     out = pixels.copy()
     height, width = out[window.rows, window.columns].shape[:2]

@@ -12,7 +12,8 @@ __all__ = ["face_mask"]
 
 
 def face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
-    """Where the face is in the crop, 0 to 1: an oval around the landmarks, less what does not look like its skin (hair, glasses, hats).
+    """Where the face is in the crop, 0 to 1: an oval around the landmarks, less what does not look like its skin (hair,
+    glasses, hats).
 
     Args:
         crop: ``(3, h, w)`` linear.

@@ -1,13 +1,14 @@
 """What the statistical model knows of the face in a photograph: its own light, and its radiance under any other.
 
-Few photographs are lit by one lamp. The photograph's light is fitted as a mixture of lights on the average face, and the quotient of the
-average face under the mixture and under one light, its middle, takes the crop from one to the other; on that the model is conditioned.
+Few photographs are lit by one lamp. The photograph's light is fitted as a mixture of lights on the average face, and
+the quotient of the average face under the mixture and under one light, its middle, takes the crop from one to the
+other; on that the model is conditioned.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from facerelight.alignment import CropFrame
+from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
 from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
 from facerelight.mle import MaximumLikelihood
@@ -22,7 +24,7 @@ from facerelight.photo.face_mask import face_mask
 from facerelight.relighter import METHODS, Method, StatisticalRelighter
 from facerelight.sources import LUMINANCE, LightMixture
 
-__all__ = ["FaceModel", "SourceLight", "crop_frame"]
+__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
 
 DARK = 0.05  # radiance below which a quotient of average faces would only amplify noise
 LARGEST_QUOTIENT = 4.0
@@ -31,16 +33,31 @@ FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own no
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
 CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
 
+Quality = Literal["draft", "standard", "reference"]
 Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
 
 
 class SourceLight(NamedTuple):
-    """A crop's own light: ``direction (3,)``, its middle, zero for a black crop; ``amounts (J,)`` of the bootstrap lights; ``equivalent
-    (h, w)``, what the crop would look like under the one direction at unit strength."""
+    """A crop's own light: ``direction (3,)``, its middle, zero for a black crop; ``amounts (J,)`` of the bootstrap
+    lights; ``equivalent (h, w)``, what the crop would look like under the one direction at unit strength."""
 
     direction: Tensor
     amounts: Tensor
     equivalent: Tensor
+
+
+def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
+    """The relighter with the cached statistics of a quality, see :data:`facerelight.config.QUALITIES`.
+
+    Raises:
+        ValueError: an unknown quality.
+        RuntimeError: they have not been trained yet; says which command does it.
+    """
+    folder = default_statistics_folder(quality_config(quality), cache)
+    if not (folder / "statistics.safetensors").exists():
+        command = "facerelight train" if quality == "standard" else f"facerelight relight PHOTO --quality {quality}"
+        raise RuntimeError(f"statistics: none of quality {quality!r} in {folder}; train them once with `{command}`")
+    return StatisticalRelighter.from_pretrained(folder)
 
 
 def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
@@ -58,8 +75,9 @@ class FaceModel:
         crops: ``(3, h, w)`` scene radiance of the photograph's face, and of further photographs of the same person.
         source_light: ``(3,)`` where the first photograph's light is known; None estimates it.
         method: "expected", "map" or "mle", see :class:`facerelight.relighter.StatisticalRelighter`.
-        rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that looks ahead under
-            the lamp turned back, and so the model sees all lights from the head; None: it looks ahead.
+        rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that
+            looks ahead under the lamp turned back, and so the model sees all lights from the head; None: it looks
+            ahead.
 
     Raises:
         ValueError: an unknown method, or too few photographs for it.
@@ -152,7 +170,8 @@ class FaceModel:
         return self._mean(lights)[0]
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """The head as it is turned, exposed like the photograph and never negative: ``directions (P, 3)`` to ``(P, h, w)``.
+        """The head as it is turned, exposed like the photograph and never negative: ``directions (P, 3)`` to ``(P, h,
+        w)``.
 
         Light from behind the head comes from its nearest side.
         """
@@ -166,7 +185,8 @@ class FaceModel:
         return (self._variance(light[None])[0, 0].sqrt() * self.exposure).numpy()
 
     def trust(self, features: np.ndarray) -> np.ndarray:
-        """Where the photograph shows what the model means, ``(h, w)`` in 0 to 1: lit skin, not eyes and teeth, hair, glasses or beard.
+        """Where the photograph shows what the model means, ``(h, w)`` in 0 to 1: lit skin, not eyes and teeth, hair,
+        glasses or beard.
 
         Args:
             features: ``(h, w)``, 1 on eyes and on the inside of the mouth.

@@ -1,8 +1,10 @@
-"""The ratio of new light to old over a whole bust: the face's from the model, the rest from shading, joined without a seam.
+"""The ratio of new light to old over a whole bust: the face's from the model, the rest from shading, joined without a
+seam.
 
-All maps are of :data:`facerelight.photo.bust.frame.FINE`. A light is a sum of points, and so is what it does: the model's posterior mean and the
-bust's irradiance are linear in it. The mean over people is a soft light itself: it knows how bright each part of a face becomes, but not where
-the edges of this face's shadows run. Those are the bust's, whose head has the face's own pose and proportions.
+All maps are of :data:`facerelight.photo.bust.frame.FINE`. A light is a sum of points, and so is what it does: the
+model's posterior mean and the bust's irradiance are linear in it. The mean over people is a soft light itself: it knows
+how bright each part of a face becomes, but not where the edges of this face's shadows run. Those are the bust's, whose
+head has the face's own pose and proportions.
 """
 
 from __future__ import annotations
@@ -37,8 +39,9 @@ SAME_LIGHT = 0.05  # a change of the face's log ratio that is none
 class FaceEvidence(NamedTuple):
     """What is known of the face, on the model's crop ``(h, w)``.
 
-    ``luminance`` of the photograph; ``mask``, where the face is; ``trust``, where the photograph is skin that the model understands;
-    ``radiance``: directions ``(P, 3)`` to the model's posterior mean ``(P, h, w)`` at the photograph's exposure.
+    ``luminance`` of the photograph; ``mask``, where the face is; ``trust``, where the photograph is skin that the model
+    understands; ``radiance``: directions ``(P, 3)`` to the model's posterior mean ``(P, h, w)`` at the photograph's
+    exposure.
     """
 
     luminance: np.ndarray
@@ -122,7 +125,8 @@ class LightRatio:
         return variance / (variance + SAME_LIGHT**2)
 
     def _maps(self, light: LightMixture) -> tuple[np.ndarray, np.ndarray]:
-        """The face's radiance and the white bust's irradiance under ``light``, ``(H, W, C)`` each: the sum over its sources.
+        """The face's radiance and the white bust's irradiance under ``light``, ``(H, W, C)`` each: the sum over its
+        sources.
 
         Soft light from one set of directions, such as the fill, is worked out once.
         """
@@ -148,7 +152,8 @@ class LightRatio:
     def _face_light(self, directions: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
         """The face's radiance under one source, ``(H, W, C)``.
 
-        A lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit face.
+        A lamp is deepened where the mean over people is dim: ``m q (1 + f) / (q + f)``, q its share of the fully lit
+            face.
         """
         radiance = self.face.radiance(directions)  # (P, h, w)
         edged = float(np.clip((SOFT - size) / 10, 0, 1))

@@ -1,8 +1,9 @@
-"""A photograph under new light, whole: conditioned once, rendered under as many lights as wanted, at its own resolution.
+"""A photograph under new light, whole: conditioned once, rendered under as many lights as wanted, at its own
+resolution.
 
-The order: the face is found and its window cut out; the statistical model is conditioned on the face; a matte and the mean bust say where the
-person is and what shape; a light becomes a log ratio over the whole bust; and that is put on the photograph's own pixels, which stay as
-they are wherever the person is not.
+The order: the face is found and its window cut out; the statistical model is conditioned on the face; a matte and the
+mean bust say where the person is and what shape; a light becomes a log ratio over the whole bust; and that is put on
+the photograph's own pixels, which stay as they are wherever the person is not.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ from PIL import Image
 from torch import Tensor
 
 from facerelight.alignment import fit_similarity
-from facerelight.config import default_statistics_folder, quality_config
 from facerelight.lights import angles_from_light, light_from_angles
 from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
 from facerelight.photo.bust.matte import person_matte
@@ -26,11 +26,12 @@ from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import LUMA, SkinColour, to_scene
 from facerelight.photo.compose import Changes, change_pixels
-from facerelight.photo.face_model import FaceModel, crop_frame
+from facerelight.photo.face_model import FaceModel, Quality, crop_frame, load_relighter
 from facerelight.photo.faces.features import Features, facial_features
+from facerelight.photo.faces.given import Landmarks, check_landmarks, locate_face
 from facerelight.photo.faces.head_pose import HeadPose
-from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError, face_at, find_faces
-from facerelight.photo.files.pixels import as_bytes, as_rgb, like, small_copy
+from facerelight.photo.faces.landmarks import Face
+from facerelight.photo.files.pixels import as_rgb, like, small_copy
 from facerelight.photo.ratio import SAME_LIGHT, FaceEvidence, LightRatio
 from facerelight.photo.skin import skin_colour
 from facerelight.photo.stages import Stage, StageLog
@@ -48,29 +49,12 @@ LIFT, ROOM = (
 DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
-LEAST_SCORE = 0.5  # of the mesh network: below it there are no dense points where the landmarks were given
 FEW = 50  # pixels of skin, fewer are not exposed for
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
-Quality = Literal["draft", "standard", "reference"]
-Landmarks = Tensor | np.ndarray | Sequence[Sequence[float]]
 Source = Lamp | LightMixture
 Picture = TypeVar("Picture", np.ndarray, Image.Image)
-
-
-def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
-    """The relighter with the cached statistics of a quality, see :data:`facerelight.config.QUALITIES`.
-
-    Raises:
-        ValueError: an unknown quality.
-        RuntimeError: they have not been trained yet; says which command does it.
-    """
-    folder = default_statistics_folder(quality_config(quality), cache)
-    if not (folder / "statistics.safetensors").exists():
-        command = "facerelight train" if quality == "standard" else f"facerelight relight PHOTO --quality {quality}"
-        raise RuntimeError(f"statistics: none of quality {quality!r} in {folder}; train them once with `{command}`")
-    return StatisticalRelighter.from_pretrained(folder)
 
 
 def relight(
@@ -90,10 +74,12 @@ def relight(
     """Relight the person in a photo: face, hair, neck and shoulders; the background stays as it is.
 
     Args:
-        photo: a Pillow image of any usual mode, or an array ``(H, W)``, ``(H, W, 3)`` or ``(H, W, 4)`` of uint8, uint16 or float in 0..1, sRGB.
+        photo: a Pillow image of any usual mode, or an array ``(H, W)``, ``(H, W, 3)`` or ``(H, W, 4)`` of uint8, uint16
+            or float in 0..1, sRGB.
         azimuth: degrees, where the new lamp stands; positive at image-left.
         elevation: degrees; positive above.
-        landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None finds the largest face.
+        landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None
+            finds the largest face.
         relighter: default: the one with the cached statistics of ``quality`` (``facerelight train`` makes them).
         quality: "draft", "standard" or "reference": coarser statistics of fewer heads, or finer ones of more.
         lights: several lamps, or other mixtures of lights, instead of one at ``azimuth``, ``elevation``.
@@ -103,8 +89,8 @@ def relight(
         device: where the statistical model computes.
 
     Returns:
-        The relit photo, of the type, mode, depth and size that came in; a Pillow image is turned upright by its EXIF orientation.
-        For many lights, use :class:`PhotoRelighter`.
+        The relit photo, of the type, mode, depth and size that came in; a Pillow image is turned upright by its EXIF
+        orientation. For many lights, use :class:`PhotoRelighter`.
 
     Raises:
         ValueError: a photo, landmarks, angles or lights that cannot be used.
@@ -137,10 +123,11 @@ class PhotoRelighter:
         relighter: as for :func:`relight`.
         source_light: ``(3,)`` unit vector where the photo's light is known; None estimates it.
         more: further photos of the same person, as evidence; their landmarks and lights are found.
-        method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own uncertainty counted in;
-            "mle": n without a prior, from three photos or more under different lights.
+        method: "expected": the mean under the estimated lights; "map": the most probable image, the lights' own
+            uncertainty counted in; "mle": n without a prior, from three photos or more under different lights.
         quality: as for :func:`relight`.
-        face: which face, as :func:`facerelight.photo.faces.landmarks.find_faces` found it; ``landmarks`` are then its own.
+        face: which face, as :func:`facerelight.photo.faces.landmarks.find_faces` found it; ``landmarks`` are then its
+            own.
         stages: "auto" simulates what each scene calls for, "all" everything; the pictures are the same.
         device: where the statistical model computes.
 
@@ -170,19 +157,19 @@ class PhotoRelighter:
         self.relighter = (relighter or load_relighter(quality)).to(device)
         self.frame = crop_frame(self.relighter)
         with self._log.measure("face", "given by hand" if landmarks is not None else "found"):
-            self.face = _locate(self._pixels, landmarks, face)
+            self.face = locate_face(self._pixels, landmarks, face)
         self.window, crop = self._align(self._pixels, self.face.landmarks)
         self._copy = small_copy(self._pixels, self.window)
         self._scene = to_scene(self._copy)
         with self._log.measure("model", "the face's statistics"):
             crops = [
                 crop,
-                *(self._align(as_rgb(other), _locate(as_rgb(other), None, None).landmarks)[1] for other in more),
+                *(self._align(as_rgb(other), locate_face(as_rgb(other), None, None).landmarks)[1] for other in more),
             ]
             rotation = None if self._points is None else head_rotation(self._points)
             self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
 
-    # -- what is known of the photo -------------------------------------------------------------------------------------
+    # -- what is known of the photo
 
     @property
     def landmarks(self) -> Tensor:
@@ -250,7 +237,7 @@ class PhotoRelighter:
         """The aligned face under unit ``lights (Q, 3)``, scene radiance before exposure, ``(Q, h, w)``."""
         return self.model.crops(lights)
 
-    # -- rendering --------------------------------------------------------------------------------------------------------
+    # -- rendering
 
     @torch.inference_mode()
     def render(
@@ -265,7 +252,8 @@ class PhotoRelighter:
         """The photo under new light, of its own shape and dtype.
 
         Args:
-            lights: a :class:`facerelight.Lamp`, a list of them, a :class:`facerelight.LightMixture`, or a lamp's azimuth in degrees.
+            lights: a :class:`facerelight.Lamp`, a list of them, a :class:`facerelight.LightMixture`, or a lamp's
+                azimuth in degrees.
             elevation: degrees, with an azimuth.
             size, fill, strength: as for :func:`relight`.
 
@@ -305,7 +293,8 @@ class PhotoRelighter:
 
     @torch.inference_mode()
     def std(self, azimuth: float, elevation: float) -> np.ndarray:
-        """How unsure the model is of the face: the standard deviation of scene radiance, ``(H, W)`` float32, 0 outside the face."""
+        """How unsure the model is of the face: the standard deviation of scene radiance, ``(H, W)`` float32, 0 outside
+        the face."""
         maps = self.model.std(light_from_angles(float(azimuth), float(elevation))) * self.mask.numpy()
         height, width = self._pixels.shape[:2]
         out = np.zeros((height, width), np.float32)
@@ -320,7 +309,8 @@ class PhotoRelighter:
         return variance / (variance + SAME_LIGHT**2)
 
     def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
-        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there is room."""
+        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there
+        is room."""
         luminance, skin = self._scene @ LUMA, self._skin.skin * self._cover > 0.6
         if skin.sum() < FEW:
             return 0.0
@@ -378,54 +368,12 @@ class PhotoRelighter:
 
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> tuple[Window, Tensor]:
         """The window around a face, and the model's crop of it: scene radiance ``(3, h, w)``."""
-        matrix = fit_similarity(_check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
+        matrix = fit_similarity(check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
         window = working_window(pixels.shape, matrix, self.frame)
         if pixels is self._pixels:
             self._to_crop = matrix
         crop = window.onto_crop(to_scene(small_copy(pixels, window)))
         return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
-
-
-def _locate(pixels: np.ndarray, landmarks: Landmarks | None, face: Face | None) -> Face:
-    """The face that is meant: the one given, the one at ``landmarks``, or the best one found."""
-    if face is not None:
-        return face
-    if landmarks is not None:
-        points = np.asarray(landmarks, dtype=np.float64)
-        _check_landmarks(points, pixels.shape)
-        found = face_at(as_bytes(pixels), points)
-        return found if found.mesh_score >= LEAST_SCORE else found._replace(points=None, pose=None)
-    faces = find_faces(as_bytes(pixels))
-    if not faces:
-        raise LandmarksNotFoundError(
-            "landmarks: found no face; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels"
-        )
-    return faces[0]
-
-
-def _check_landmarks(landmarks: np.ndarray, shape: tuple[int, ...]) -> Tensor:
-    points = torch.as_tensor(np.asarray(landmarks, dtype=np.float64))
-    if points.shape != (3, 2):
-        raise ValueError(f"landmarks: expected three (x, y) pairs, got shape {tuple(points.shape)}")
-    if not torch.isfinite(points).all():
-        raise ValueError("landmarks: expected finite pixel coordinates, got NaN or infinity")
-    height, width = shape[:2]
-    inside = (points >= -0.5).all() and (points[:, 0] <= width - 0.5).all() and (points[:, 1] <= height - 0.5).all()
-    if not inside:
-        raise ValueError(f"landmarks: expected pixels inside the {width} x {height} photo, got {points.tolist()}")
-    across, down = points[1] - points[0], points[2] - points[:2].mean(0)
-    distance = float(torch.linalg.vector_norm(across))
-    if distance == 0:
-        raise ValueError("landmarks: expected two different eyes, got the same point twice")
-    # in the face's own frame: how far the mouth lies below the eyes, in eye distances, and how far aside
-    below = float(across[0] * down[1] - across[1] * down[0]) / distance**2
-    aside = float(across @ down) / distance**2
-    if abs(below) > 1e-2 and (below < 0.3 or below > 4 or abs(aside) > 1.5):
-        hint = "are the eyes swapped?" if below < 0 else "is the mouth in its place?"
-        raise ValueError(
-            f"landmarks: expected eye at image-left, eye at image-right, and the mouth below them, got {points.tolist()}; {hint}"
-        )
-    return points
 
 
 def _check_share(name: str, value: float) -> None:
@@ -434,7 +382,8 @@ def _check_share(name: str, value: float) -> None:
 
 
 def _down(to_bust: np.ndarray) -> tuple[float, float]:
-    """Which way a body hangs in bust coordinates: the picture's own down, as far as a neck bends; beyond that the camera was turned."""
+    """Which way a body hangs in bust coordinates: the picture's own down, as far as a neck bends; beyond that the
+    camera was turned."""
     x, y = to_bust[:, :2] @ (0.0, 1.0)
     tilt = float(np.clip(np.arctan2(x, -y), -NECK_BENDS, NECK_BENDS))
     return float(np.sin(tilt)), float(-np.cos(tilt))

@@ -68,7 +68,8 @@ def _own_colour(scene: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarr
 
 
 def _cast(scene: np.ndarray, lit: np.ndarray, sigma: float) -> np.ndarray:
-    """How the colour of the light on a place differs from that on all of the face, ``(h, w, 3)``, 1 where it does not."""
+    """How the colour of the light on a place differs from that on all of the face, ``(h, w, 3)``, 1 where it does
+    not."""
     local = _blur(scene * lit[..., None], sigma)
     local = local / np.maximum(local @ LUMA, 1e-5)[..., None]
     known = np.clip(_blur(lit, sigma) * 8, 0, 1)[..., None]

@@ -1,4 +1,5 @@
-"""What a render did and what it cost: only what a scene calls for is simulated, and each stage says whether it ran and why."""
+"""What a render did and what it cost: only what a scene calls for is simulated, and each stage says whether it ran and
+why."""
 
 from __future__ import annotations
 

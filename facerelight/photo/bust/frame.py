@@ -1,7 +1,8 @@
 """The bust's own coordinates, and the window of the photograph that is worked on.
 
-Bust coordinates: the origin midway between the eyes, one unit the distance between them, x to image-right, y up, the eyes level. Whatever is
-not photograph (heights, normals, shading) lives on grids of these coordinates; the photograph's part is a window around the bust.
+Bust coordinates: the origin midway between the eyes, one unit the distance between them, x to image-right, y up, the
+eyes level. Whatever is not photograph (heights, normals, shading) lives on grids of these coordinates; the photograph's
+part is a window around the bust.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ __all__ = ["BUST", "FINE", "Grid", "Window", "between", "crop_onto", "working_wi
 
 @dataclass(frozen=True)
 class Grid:
-    """A raster of bust coordinates: x in ``[-side, side]``, y from ``top`` down to ``bottom``, ``density`` pixels a unit."""
+    """A raster of bust coordinates: x in ``[-side, side]``, y from ``top`` down to ``bottom``, ``density`` pixels a
+    unit."""
 
     side: float
     top: float
@@ -57,8 +59,9 @@ LARGEST_SIDE = 800  # pixels of the window at which maps are made
 class Window:
     """The part of a photograph that holds the bust, and the smaller copy on which maps are made.
 
-    ``rows`` and ``columns``: the part, in pixels of the photograph; ``size``: height and width of the copy; ``to_bust (2, 3)``: pixels of the
-    copy to bust coordinates; ``unit``: pixels of the copy for one unit; ``crop``: the model's crop; ``to_crop (2, 3)``: copy to crop.
+    ``rows`` and ``columns``: the part, in pixels of the photograph; ``size``: height and width of the copy; ``to_bust
+    (2, 3)``: pixels of the copy to bust coordinates; ``unit``: pixels of the copy for one unit; ``crop``: the model's
+    crop; ``to_crop (2, 3)``: copy to crop.
     """
 
     rows: slice
@@ -114,7 +117,8 @@ class Window:
 
 
 def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame) -> Window:
-    """The window of a photograph of ``shape (H, W, ...)`` whose similarity ``to_crop (2, 3)`` takes its pixels to the model's crop."""
+    """The window of a photograph of ``shape (H, W, ...)`` whose similarity ``to_crop (2, 3)`` takes its pixels to the
+    model's crop."""
     to_bust = compose(crop_to_bust(crop), to_crop)
     corners = np.array([(x, y) for x in (-REACH[0], REACH[0]) for y in (REACH[1], -REACH[2])])
     back = invert(to_bust)

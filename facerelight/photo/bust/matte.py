@@ -1,7 +1,8 @@
 """Which pixels of a photograph show the person: a small network's answer, sharpened along the photograph's own edges.
 
-The network (MediaPipe's selfie segmentation, run by OpenCV) sees the bust at 256 x 256, twice, once mirrored. A colour guided filter (He, Sun
-and Tang 2010) takes its answer to the edges. Where the network cannot be read, GrabCut answers, seeded by where head and shoulders should be.
+The network (MediaPipe's selfie segmentation, run by OpenCV) sees the bust at 256 x 256, twice, once mirrored. A colour
+guided filter (He, Sun and Tang 2010) takes its answer to the edges. Where the network cannot be read, GrabCut answers,
+seeded by where head and shoulders should be.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
 
 
 def _upright(window: Window) -> np.ndarray:
-    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around all of the copy."""
+    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around all of the
+    copy."""
     height, width = window.size
     corners = np.array([(x, y) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     corners = corners @ window.to_bust[:, :2].T + window.to_bust[:, 2]

@@ -29,7 +29,8 @@ def draw_mesh(
 ) -> Relief:
     """The visible surface of a mesh, seen from +z.
 
-    Every triangle is sampled evenly and each pixel keeps its highest samples: exact enough for triangles of some pixels.
+    Every triangle is sampled evenly and each pixel keeps its highest samples: exact enough for triangles of some
+        pixels.
 
     Args:
         vertices: ``(V, 3)`` bust coordinates.

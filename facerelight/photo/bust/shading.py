@@ -1,7 +1,8 @@
 """How light falls on a bust: wrapped Lambert shading times what the horizon leaves of each lamp.
 
-The horizon of a point towards some azimuth is the highest angle that the surface reaches that way (horizon mapping, Max 1988). A lamp is a
-disc; the part of it above the horizon reaches the point, so a small lamp's shadow is sharp and a large one's soft, at the same cost.
+The horizon of a point towards some azimuth is the highest angle that the surface reaches that way (horizon mapping, Max
+1988). A lamp is a disc; the part of it above the horizon reaches the point, so a small lamp's shadow is sharp and a
+large one's soft, at the same cost.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def horizon(
 
 
 def visible_share(ends: np.ndarray, light: np.ndarray, size: float) -> np.ndarray:
-    """The share ``(H, W)``, 0 to 1, of a lamp's disc of angular radius ``size`` (degrees) towards ``light (3,)`` that is above the horizon."""
+    """The share ``(H, W)``, 0 to 1, of a lamp's disc of angular radius ``size`` (degrees) towards ``light (3,)`` that
+    is above the horizon."""
     rise = np.arctan2(float(light[2]), float(np.hypot(light[0], light[1])))
     share = np.clip((rise - ends) / (2 * np.deg2rad(max(size, SMALLEST))) + 0.5, 0, 1)
     return share * share * (3 - 2 * share)
@@ -83,7 +85,8 @@ class BustShading:
         self._fine: dict[tuple[float, float], np.ndarray] = {}
 
     def shade(self, light: np.ndarray, size: float) -> np.ndarray:
-        """Irradiance of a white bust under a soft light ``(3,)`` of angular radius ``size``, ``(H, W)`` on :data:`BUST`."""
+        """Irradiance of a white bust under a soft light ``(3,)`` of angular radius ``size``, ``(H, W)`` on
+        :data:`BUST`."""
         facing = np.clip((self.bust.normal @ light.astype(np.float32) + WRAP) / (1 + WRAP), 0, None)
         if self._sees_all(light):
             return facing
@@ -113,7 +116,8 @@ class BustShading:
         return not self.exhaustive and float(np.hypot(light[0], light[1])) < AT_CAMERA and float(light[2]) > 0
 
     def _horizon(self, azimuth: float) -> np.ndarray:
-        """The coarse horizon towards any azimuth (radians in the picture's plane), interpolated between those marched."""
+        """The coarse horizon towards any azimuth (radians in the picture's plane), interpolated between those
+        marched."""
         place = (azimuth / (2 * np.pi) % 1.0) * AZIMUTHS
         low, share = int(place) % AZIMUTHS, place - int(place)
         return (1 - share) * self._marched(low) + share * self._marched((low + 1) % AZIMUTHS)

@@ -1,8 +1,10 @@
-"""The shape of a bust, as far as light needs it: a mean bust turned and warped to the face, a neck, shoulders, and hair inflated from the matte.
+"""The shape of a bust, as far as light needs it: a mean bust turned and warped to the face, a neck, shoulders, and hair
+inflated from the matte.
 
-Nothing of a person's shape outside the face is known from one photograph, but much can be guessed well enough for shading: where the matte
-ends the surface turns away, the mean bust knows ears and jaw, necks are round. Normals between what is known are interpolated harmonically
-(Johnston, "Lumo", 2002); heights, which cast the shadows, are the highest of head, neck, torso and inflated hair.
+Nothing of a person's shape outside the face is known from one photograph, but much can be guessed well enough for
+shading: where the matte ends the surface turns away, the mean bust knows ears and jaw, necks are round. Normals between
+what is known are interpolated harmonically (Johnston, "Lumo", 2002); heights, which cast the shadows, are the highest
+of head, neck, torso and inflated hair.
 """
 
 from __future__ import annotations
@@ -45,8 +47,8 @@ FEATURES = (((-0.5, 0.0, 0.0), (0.36, 0.22)), ((0.5, 0.0, 0.0), (0.36, 0.22)), (
 
 
 class MeanBust(NamedTuple):
-    """``vertices (V, 3)``, ``triangles (T, 3)``; ``points (468, 3)`` of the face mesh on its surface. Bust coordinates with z
-    towards the viewer."""
+    """``vertices (V, 3)``, ``triangles (T, 3)``; ``points (468, 3)`` of the face mesh on its surface. Bust coordinates
+    with z towards the viewer."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -54,8 +56,8 @@ class MeanBust(NamedTuple):
 
 
 class Bust(NamedTuple):
-    """Surface of a person on :data:`BUST`: ``normal (H, W, 3)`` unit, ``height (H, W)``, ``inside (H, W)`` 0 to 1, ``head (H, W)`` 0 to 1 where
-    the mean bust is trusted; ``fine (h, w)``: heights of face and neck on :data:`FINE`."""
+    """Surface of a person on :data:`BUST`: ``normal (H, W, 3)`` unit, ``height (H, W)``, ``inside (H, W)`` 0 to 1,
+    ``head (H, W)`` 0 to 1 where the mean bust is trusted; ``fine (h, w)``: heights of face and neck on :data:`FINE`."""
 
     normal: np.ndarray
     height: np.ndarray
@@ -111,7 +113,8 @@ def fit_bust(points: np.ndarray | None, down: tuple[float, float] = (0.0, -1.0))
 
 
 def head_rotation(points: np.ndarray) -> np.ndarray:
-    """How a head is turned, as a rotation ``(3, 3)`` of bust coordinates, from a face's dense ``points (468, 3)`` in them."""
+    """How a head is turned, as a rotation ``(3, 3)`` of bust coordinates, from a face's dense ``points (468, 3)`` in
+    them."""
     return fit_rigid_face(points[:, :2] * (1, -1)).rotation
 
 
@@ -192,7 +195,8 @@ def _fine_surface(
 
 
 def _features(vertices: np.ndarray) -> np.ndarray:
-    """Where the mesh has eyes and lips, 0 to 1 on :data:`FINE`: they open and close, and a person's are not the mean's."""
+    """Where the mesh has eyes and lips, 0 to 1 on :data:`FINE`: they open and close, and a person's are not the
+    mean's."""
     x, y = FINE.places()
     mask = np.zeros(FINE.size, np.float32)
     for place, (across, up) in FEATURES:
@@ -203,7 +207,8 @@ def _features(vertices: np.ndarray) -> np.ndarray:
 
 
 def _silhouette(matte: np.ndarray, person: np.ndarray, in_picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the person ends inside the photograph, ``(H, W)`` bool, and the normals there, which turn away ``(H, W, 3)``."""
+    """Where the person ends inside the photograph, ``(H, W)`` bool, and the normals there, which turn away ``(H, W,
+    3)``."""
     smooth = cv2.GaussianBlur(matte.astype(np.float32), (0, 0), 2.0)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     slope = np.hypot(dx, dy)

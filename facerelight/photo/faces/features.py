@@ -24,7 +24,8 @@ EYES, MOUTH_CENTRE = ((-0.5, 0.0), (0.5, 0.0)), (0.0, -1.08)
 
 
 class Features(NamedTuple):
-    """Maps of a window's copy ``(h, w)``, 0 to 1: ``not_skin``, eyes with lids and the inside of the mouth; ``eyes_and_lips``; ``eyeballs``."""
+    """Maps of a window's copy ``(h, w)``, 0 to 1: ``not_skin``, eyes with lids and the inside of the mouth;
+    ``eyes_and_lips``; ``eyeballs``."""
 
     not_skin: np.ndarray
     eyes_and_lips: np.ndarray
@@ -32,7 +33,8 @@ class Features(NamedTuple):
 
 
 def facial_features(points: np.ndarray | None, window: Window) -> Features:
-    """Features from the dense ``points (468, 3)`` in pixels of the photograph; None: ellipses where an upright face has them."""
+    """Features from the dense ``points (468, 3)`` in pixels of the photograph; None: ellipses where an upright face has
+    them."""
     draw = _ellipses(window) if points is None else _polygons(points, window)
     lids, balls, mouth, lips = draw
     return Features(np.maximum(lids, mouth), np.maximum(lids, lips), balls)

@@ -51,7 +51,8 @@ def as_rgb(photo: np.ndarray) -> np.ndarray:
 
 
 def like(photo: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-    """``rgb (H, W, 3)`` with the channels and the dtype of ``photo``; alpha is the photo's, grey the luminance-weighted mean of the codes."""
+    """``rgb (H, W, 3)`` with the channels and the dtype of ``photo``; alpha is the photo's, grey the luminance-weighted
+    mean of the codes."""
     if photo.ndim == 3 and photo.shape[2] in (3, 4):
         return (
             np.concatenate((rgb, photo[..., 3:]), axis=2).astype(photo.dtype, copy=False)
