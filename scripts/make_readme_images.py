@@ -6,7 +6,6 @@ python scripts/make_readme_images.py --photo astronaut.png --output .github/imag
 import argparse
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from facerelight.alignment import CropFrame

@@ -60,11 +60,9 @@ def facerelight(load: Callable[[], StatisticalRelighter], **options: object) -> 
 
 # -- the package without one of its parts -----------------------------------------------------------------------------
 class Part(NamedTuple):
-    """What a part is switched off by: ``(owner, name, value)`` of constants or functions. ``late``: only once a photo is
-    conditioned, where what is known of the photo needs the part too."""
+    """What a part is switched off by: ``(owner, name, value)`` of constants or functions."""
 
     off: Sequence[tuple[Any, str, Any]]
-    late: bool = False
 
 
 def _no_highlight(scene: np.ndarray, diffuse: np.ndarray, whole: Any = colour.part_highlight) -> Any:
@@ -78,9 +76,9 @@ def _mean_bust(points: np.ndarray | None, down: tuple[float, float], fit: Any = 
 
 PARTS: dict[str, Part] = {
     "no camera curve": Part([(colour, "SHOULDER", 0.0), (colour, "TOE", 1.0)]),
-    "no highlight parting": Part([(colour, "part_highlight", _no_highlight)], late=True),
+    "no highlight parting": Part([(colour, "part_highlight", _no_highlight)]),
     "no warm shade": Part([(colour, "WARM", 0.0)]),
-    "no white light": Part([(colour, "_clean_light", lambda *_: np.float32(0))]),
+    "no white light": Part([(colour, "MOST_TYPICAL", 0.0), (colour, "CAST", 0.0)]),
     "no rolling off": Part([(colour, "KNEE", 1e6)]),
     "no held pigment": Part([(photo_session, "HELD", 0.0)]),
     "no remainder": Part([(ratio, "SAME_LIGHT", 1e6)]),
@@ -112,7 +110,7 @@ def ablated(whole: Make, part: Part) -> Make:
     """``whole`` without ``part``."""
 
     def make(photo: np.ndarray, landmarks: np.ndarray) -> Render:
-        with without(Part([]) if part.late else part):
+        with without(part):
             render = whole(photo, landmarks)
             render([Lamp(20, 10)], 0.1)  # stages of the photo run at their first use
 
@@ -233,7 +231,8 @@ def main() -> int:
     images: dict[tuple[str, str], np.ndarray] = {}
 
     def keep(case: str, method: str, image: np.ndarray) -> None:
-        images[case, method] = image
+        if args.output:
+            images[case, method] = image
 
     seconds: dict[str, list[float]] = {name: [] for name in names}
     methods = {name: timed(known[name], seconds[name]) for name in names}
