@@ -224,7 +224,7 @@ def test_bad_files_are_named(tmp_path) -> None:
 
 
 def test_enroll_and_recognize(folder: Path, astronaut: np.ndarray, tmp_path, capsys) -> None:
-    """One photo each of two "people" (a face and its stretched mirror image), in both layouts; another light finds them again."""
+    """One photo each of two "people", a face and its mirror image, in both layouts; another light finds them again."""
     relighter = StatisticalRelighter.from_pretrained(folder)
     other = np.ascontiguousarray(astronaut[:, ::-1])
     people = tmp_path / "people"

@@ -1,4 +1,4 @@
-"""Colour: the camera's curve, highlights, shade and white, against formulas and synthetic mixtures; whole pixels last."""
+"""Colour: the camera's curve, highlights, shade and white, against formulas and synthetic mixtures."""
 
 import numpy as np
 import pytest
@@ -8,16 +8,17 @@ from scipy.optimize import brentq
 from facerelight.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust.frame import Window, working_window
 from facerelight.photo.colour import (
+    CAST,
     LUMA,
     WARM,
     SkinColour,
     part_highlight,
     relit_radiance,
-    skin_colour,
     to_display,
     to_scene,
 )
 from facerelight.photo.compose import Changes, change_pixels
+from facerelight.photo.skin import skin_colour
 
 SKIN = np.array((1.45, 0.92, 0.6), np.float32)  # a skin's colour
 SKIN = SKIN / float(SKIN @ LUMA)
@@ -33,20 +34,37 @@ def whole_window(height: int, width: int) -> Window:
     return window
 
 
-def changed(pixels: np.ndarray, log_ratio: np.ndarray | float, strength: float = 1.0, **maps: np.ndarray) -> np.ndarray:
-    """Pixels under one log ratio (a number or a map), by default without skin."""
-    size = pixels.shape[:2]
+def colour_of(size: tuple[int, int], **maps: np.ndarray) -> SkinColour:
+    """By default no skin anywhere and no cast; what there is of skin is of its own colour."""
     nothing = np.zeros(size, np.float32)
-    skin = SkinColour(
-        maps.get("skin", nothing),
-        maps.get("diffuse", np.broadcast_to(SKIN, (*size, 3)).copy()),
-        SKIN,
-        maps.get("lit", nothing),
-        nothing,
-    )
-    ratio = np.broadcast_to(np.float32(log_ratio), (*size, 1)).copy() if np.isscalar(log_ratio) else log_ratio
-    cover = maps.get("cover", nothing + 1)
-    return change_pixels(pixels, whole_window(*size), Changes(ratio, skin, cover, strength))
+    made = {
+        "skin": nothing,
+        "lit": nothing,
+        "pigment": nothing,
+        "typical": SKIN,
+        "cast": np.ones((*size, 3), np.float32),
+    }
+    made["diffuse"] = np.broadcast_to(SKIN, (*size, 3)).copy()
+    return SkinColour(**{**made, **maps})
+
+
+def changed(
+    pixels: np.ndarray,
+    log_ratio: float,
+    strength: float = 1.0,
+    change: float = 0.0,
+    cover: np.ndarray | None = None,
+    **maps,
+) -> np.ndarray:
+    """Pixels under one log ratio."""
+    size = pixels.shape[:2]
+    cover = np.ones(size, np.float32) if cover is None else cover
+    ratio = np.full((*size, 1), log_ratio, np.float32)
+    return change_pixels(pixels, whole_window(*size), Changes(ratio, colour_of(size, **maps), cover, change, strength))
+
+
+def relit(scene: np.ndarray, log_ratio: np.ndarray, change: float = 0.0, **maps: np.ndarray) -> np.ndarray:
+    return relit_radiance(scene, log_ratio, colour_of(scene.shape[:2], **maps), change)
 
 
 def test_curve_against_its_formula() -> None:
@@ -77,6 +95,7 @@ def test_ratio_of_one_changes_nothing(dtype: type) -> None:
     pixels[2:4] = generator.choice(np.array((0, white), dtype), (2, 300, 3))  # corners of the cube
     maps = {name: generator.random((300, 300)).astype(np.float32) for name in ("skin", "lit", "cover")}
     maps["diffuse"] = generator.uniform(0.2, 2, (300, 300, 3)).astype(np.float32)
+    maps["cast"] = generator.uniform(0.7, 1.4, (300, 300, 3)).astype(np.float32)
     same = changed(pixels, 0.0, **maps)
     if dtype is np.float32:
         assert np.abs(same - pixels).max() < 5e-6
@@ -110,21 +129,17 @@ def test_order_of_greys_is_kept(log_ratio: float) -> None:
 def test_without_skin_radiance_is_scaled() -> None:
     generator = np.random.default_rng(2)
     scene = generator.random((20, 20, 3)).astype(np.float32)
-    nothing = np.zeros((20, 20), np.float32)
-    diffuse = np.broadcast_to(SKIN, scene.shape)
     for log_ratio in (-2.0, -0.5, 0.7):
         per_channel = (log_ratio + np.array((0.2, 0, -0.3))).astype(np.float32)
         for ratio in (np.full((20, 20, 1), log_ratio, np.float32), np.broadcast_to(per_channel, (20, 20, 3))):
-            out = relit_radiance(scene, ratio, nothing, nothing, diffuse, SKIN)
-            assert np.allclose(out, scene * np.exp(ratio), rtol=1e-5)
+            assert np.allclose(relit(scene, ratio, change=1.0), scene * np.exp(ratio), rtol=1e-5)
 
 
 def test_shaded_skin_is_warmer() -> None:
     """Without highlights, red falls by less than the ratio, blue by more: ``R ** (1 - 0.03)`` and ``R ** 1.03``."""
     scene = np.broadcast_to(0.3 * SKIN, (4, 4, 3)).astype(np.float32)
     ones = np.ones((4, 4), np.float32)
-    diffuse = np.broadcast_to(SKIN, scene.shape)
-    out = relit_radiance(scene, np.full((4, 4, 1), -1.0, np.float32), ones, 0 * ones, diffuse, SKIN)[0, 0]
+    out = relit(scene, np.full((4, 4, 1), -1.0, np.float32), skin=ones)[0, 0]
     missing = np.exp(-1) * scene[0, 0] @ LUMA - scene[0, 0] * np.exp(-1 - WARM * np.array((-1, 0.25, 1))) @ LUMA
     wanted = scene[0, 0] * np.exp(-1 - WARM * np.array((-1, 0.25, 1))) + 0.6 * max(missing, 0) * SKIN
     assert np.allclose(out, wanted, rtol=1e-3)
@@ -160,7 +175,7 @@ def test_highlights_die_faster_in_shade_and_grow_slower_in_light() -> None:
 
     before = share(scene)
     for log_ratio, sign in ((-1.0, -1), (0.8, -1)):
-        out = relit_radiance(scene, np.full((2, 2, 1), log_ratio, np.float32), ones, 0 * ones, diffuse, SKIN)
+        out = relit(scene, np.full((2, 2, 1), log_ratio, np.float32), skin=ones)
         assert sign * (share(out) - before) > 0.02
         assert float(out[0, 0] @ LUMA / (scene[0, 0] @ LUMA)) == pytest.approx(np.exp(log_ratio), rel=0.12)
 
@@ -170,16 +185,28 @@ def test_lifted_shade_takes_the_lamps_white() -> None:
     shade = 0.05 * SKIN * np.array((0.75, 1.0, 1.3), np.float32)
     scene = np.broadcast_to(shade, (2, 2, 3)).astype(np.float32)
     ones = np.ones((2, 2), np.float32)
-    diffuse = scene / (scene @ LUMA)[..., None]
     ratio = np.full((2, 2, 1), 1.1, np.float32)
     gaps = []
     for lit in (0 * ones, ones):
-        out = relit_radiance(scene, ratio, 0 * ones, lit, diffuse, SKIN)[0, 0]
+        out = relit(scene, ratio, lit=lit)[0, 0]
         assert float(out @ LUMA) == pytest.approx(np.exp(1.1) * float(shade @ LUMA), rel=1e-3)
         gaps.append(np.abs(out / (out @ LUMA) - SKIN).max())
     assert gaps[1] < 0.5 * gaps[0]
-    dimmed = relit_radiance(scene, -ratio, 0 * ones, ones, diffuse, SKIN)
-    assert np.allclose(dimmed, relit_radiance(scene, -ratio, 0 * ones, 0 * ones, diffuse, SKIN))
+    assert np.allclose(relit(scene, -ratio, lit=ones), relit(scene, -ratio))
+
+
+def test_colour_casts_go_with_the_old_light() -> None:
+    """Seven tenths of one, in log, where it is lit as skin and as surely as the light is another; luminance stays."""
+    cast = np.broadcast_to(np.array((0.8, 1.0, 1.3), np.float32), (2, 2, 3))
+    scene = (0.3 * SKIN * cast).astype(np.float32)
+    nothing, ones = np.zeros((2, 2, 1), np.float32), np.ones((2, 2), np.float32)
+    for change, lit in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.4), (0.0, 1.0), (1.0, 0.0)):
+        out = relit(scene, nothing, change, lit=lit * ones, cast=cast)[0, 0]
+        assert float(out @ LUMA) == pytest.approx(float(scene[0, 0] @ LUMA), rel=1e-5)
+        left = np.log(out / scene[0, 0] * cast[0, 0])
+        wanted = (1 - 0.7 * change * lit) * np.log(cast[0, 0])
+        assert np.allclose(left - left[1], wanted - wanted[1], atol=1e-5)
+    assert pytest.approx(0.7) == CAST
 
 
 def test_cover_and_strength_mix_radiance() -> None:
@@ -209,11 +236,10 @@ def test_strips_join_without_seams() -> None:
     large = working_window((height, width), window.to_crop * 1.0, window.crop)
     ramp = np.linspace(-1, 0, 60, dtype=np.float32)[:, None, None] * np.ones((1, 80, 1), np.float32)
     nothing = np.zeros((60, 80), np.float32)
-    skin = SkinColour(nothing, np.ones((60, 80, 3), np.float32), SKIN, nothing, nothing)
     large = large.__class__(
         slice(0, height), slice(0, width), (60, 80), window.to_bust, window.to_crop, 1.0, window.crop
     )
-    out = change_pixels(pixels, large, Changes(ramp, skin, nothing + 1, 1.0))
+    out = change_pixels(pixels, large, Changes(ramp, colour_of((60, 80)), nothing + 1, 0.0, 1.0))
     log_ratio = np.log(to_scene(out[:, 5, 0]) / to_scene(np.array(0.5)))
     wanted = np.interp((np.arange(height) + 0.5) / 15 - 0.5, np.arange(60), ramp[:, 0, 0])
     assert np.abs(log_ratio - wanted).max() < 1e-3

@@ -125,7 +125,7 @@ def test_window_of_a_face_at_the_border(corner: tuple[int, int]) -> None:
 
 
 def test_maps_of_a_linear_ramp_stay_linear() -> None:
-    """What is linear in bust coordinates stays so between grids, from the copy onto a grid and back: exact for bilinear weights."""
+    """What is linear in bust coordinates stays so between grids, from the copy onto a grid and back."""
 
     def ramp(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return (0.3 * x - 0.7 * y + 2).astype(np.float32)

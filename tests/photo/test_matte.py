@@ -1,4 +1,4 @@
-"""The person's matte: found, mirrored and turned alike, sharp at edges, and answered by GrabCut where there is no network."""
+"""The person's matte: found, mirrored and turned alike, sharp at edges, by GrabCut where there is no network."""
 
 import cv2
 import numpy as np

@@ -20,7 +20,7 @@ def square(z: float, half: float = 1.0) -> np.ndarray:
 
 
 def test_sphere() -> None:
-    """Heights within 0.02 units (half a pixel where it is steep) and normals within 3 degrees, away from the outline."""
+    """Heights within 0.02 units and normals within 3 degrees, away from the outline."""
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=1.5)
     centre = np.array((0.2, -0.1, 0.4))
     relief = draw_mesh(sphere.vertices + centre, sphere.faces, GRID)

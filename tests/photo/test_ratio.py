@@ -36,7 +36,7 @@ def lambert(normal: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def evidence(tone: float = 1.0, new: float = 1.0, trust: float | np.ndarray = 1.0) -> FaceEvidence:
-    """A ball of some reflectance under SOURCE; the model believes that directions other than the source's give ``new`` times as much."""
+    """A ball of some reflectance under SOURCE; from other directions the model expects ``new`` times as much."""
     normal = ball(*crop_places())[1]
     own = SOURCE.directions.numpy()
 
@@ -140,7 +140,7 @@ def test_colours_are_channels_of_their_own(ratio: LightRatio) -> None:
 
 
 def test_small_lamps_are_deepened(ratio: LightRatio) -> None:
-    """Where most people are in shadow a lamp leaves less: ``q (1 + f) / (q + f)``, f 0.25; a soft light is left alone."""
+    """Where most people are in shadow a lamp leaves less: ``q (1 + f) / (q + f)``; a soft light is left alone."""
     direction = np.array(((-0.8, 0.0, 0.6),), np.float32)
     weight = np.ones((1, 1), np.float32)
     plain, deep = (ratio._face_light(direction, weight, size)[..., 0] for size in (20.0, 5.0))

@@ -1,4 +1,4 @@
-"""A photograph relit, whole: what must stay, what must change and to which side, hard inputs, and every kind of array."""
+"""A photograph relit, whole: what stays, what changes and to which side, hard inputs, every kind of array."""
 
 import cv2
 import numpy as np
@@ -10,6 +10,7 @@ from facerelight.photo import PhotoRelighter, relight
 from facerelight.photo import session as session_module
 from facerelight.photo.bust import matte as matte_module
 from facerelight.photo.face_model import FaceModel
+from facerelight.photo.files.pixels import as_rgb, like
 from facerelight.relighter import StatisticalRelighter
 from facerelight.sources import Lamp, fill_light, scene_light
 
@@ -60,7 +61,7 @@ def gap(one: np.ndarray, two: np.ndarray) -> float:
     return float(np.abs(one.astype(float) - two.astype(float)).max())
 
 
-# -- what stays ---------------------------------------------------------------------------------------------------------
+# -- what stays
 
 
 def test_own_light_gives_the_photo_back(
@@ -70,7 +71,7 @@ def test_own_light_gives_the_photo_back(
     assert gap(exhaustive.render(exhaustive.light, fill=0), astronaut) <= 1
 
 
-@pytest.mark.parametrize("kind", ["dark", "grey", "close", "16 bits", "second photo"])
+@pytest.mark.parametrize("kind", ["dark", "grey", "close", "second photo"])
 def test_own_light_gives_any_photo_back(
     kind: str, half: np.ndarray, astronaut: np.ndarray, relighter: StatisticalRelighter
 ) -> None:
@@ -78,11 +79,9 @@ def test_own_light_gives_any_photo_back(
     if kind == "dark":
         photo = (half * 0.15).astype(np.uint8)
     elif kind == "grey":
-        photo = half[..., 1]
+        photo = half[..., 1].astype(np.uint16) * 257
     elif kind == "close":
         photo, marks = np.ascontiguousarray(astronaut[CLOSE]), CLOSE_MARKS
-    elif kind == "16 bits":
-        photo = half.astype(np.uint16) * 257
     else:
         more = (np.ascontiguousarray(astronaut[:, ::-1]),)
     made = PhotoRelighter(photo, marks, relighter, more=more)
@@ -147,7 +146,7 @@ def test_matte_is_the_photos_size(session: PhotoRelighter) -> None:
     assert matte[400:].max() == 0
 
 
-# -- what changes -------------------------------------------------------------------------------------------------------
+# -- what changes
 
 
 @pytest.mark.parametrize("azimuth", [60, -60])
@@ -244,7 +243,7 @@ def test_lit_side_keeps_its_brightness(session: PhotoRelighter, astronaut: np.nd
         assert np.quantile(relit, 0.85) == pytest.approx(before, rel=0.2)
 
 
-# -- only what a scene calls for ----------------------------------------------------------------------------------------
+# -- only what a scene calls for
 
 
 def random_scene(generator: np.random.Generator) -> tuple[list[Lamp], float]:
@@ -264,7 +263,7 @@ def random_scene(generator: np.random.Generator) -> tuple[list[Lamp], float]:
     return lamps, float(generator.choice((0.0, 0.1, 0.3)))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(14))
 def test_auto_is_all(session: PhotoRelighter, exhaustive: PhotoRelighter, seed: int) -> None:
     lamps, fill = random_scene(np.random.default_rng(seed))
     assert gap(session.render(lamps, fill=fill), exhaustive.render(lamps, fill=fill)) <= 1
@@ -279,7 +278,7 @@ def test_auto_is_all_for_other_photos(
     else:
         photo, marks, more = half, HALF, (np.ascontiguousarray(astronaut[:, ::-1]),)
     auto, every = (PhotoRelighter(photo, marks, relighter, more=more, stages=s) for s in ("auto", "all"))
-    for seed in range(20, 24):
+    for seed in range(20, 23):
         lamps, fill = random_scene(np.random.default_rng(seed))
         assert gap(auto.render(lamps, fill=fill), every.render(lamps, fill=fill)) <= 1
 
@@ -317,21 +316,19 @@ def test_face_that_fills_the_picture_needs_no_matte(astronaut: np.ndarray, relig
         PhotoRelighter(close, CLOSE_MARKS, relighter, stages="some")
 
 
-# -- kinds of pictures --------------------------------------------------------------------------------------------------
+# -- kinds of pictures
 
 
-@pytest.mark.parametrize("kind", ["grey", "grey 3d", "rgba uint8", "rgba uint16", "float64", "float16", "strided"])
+@pytest.mark.parametrize("kind", ["grey", "rgba uint8", "rgba uint16", "float64", "strided"])
 def test_arrays_come_back_in_kind(
     kind: str, half: np.ndarray, relit_half: np.ndarray, relighter: StatisticalRelighter
 ) -> None:
     alpha = np.random.default_rng(0).integers(0, 256, (256, 256, 1), dtype=np.uint8)
     photo = {
         "grey": half[..., 1],
-        "grey 3d": half[..., 1:2],
         "rgba uint8": np.concatenate((half, alpha), 2),
         "rgba uint16": np.concatenate((half, alpha), 2).astype(np.uint16) * 257,
         "float64": half / 255,
-        "float16": (half / 255).astype(np.float16),
         "strided": np.repeat(np.repeat(half, 2, 0), 2, 1)[::2, ::2],
     }[kind]
     relit = relight(photo, 50, 10, HALF, relighter)
@@ -342,7 +339,7 @@ def test_arrays_come_back_in_kind(
         assert np.array_equal(relit[..., 3], photo[..., 3])
         relit = relit[..., :3]
     if "grey" not in kind:
-        assert np.abs(relit / scale - relit_half / 255).max() < (0.012 if kind == "float16" else 0.006)
+        assert np.abs(relit / scale - relit_half / 255).max() < 0.006
     assert (
         np.abs(relit / scale - photo.reshape(*photo.shape[:2], -1)[..., :3].reshape(relit.shape) / scale).mean() > 0.01
     )
@@ -376,7 +373,7 @@ def test_numbers_and_lamps_mean_the_same(session: PhotoRelighter) -> None:
         session.render(Lamp(35), 10)
 
 
-# -- hard cases ---------------------------------------------------------------------------------------------------------
+# -- hard cases
 
 
 def blue_face(photo: np.ndarray) -> np.ndarray:
@@ -594,7 +591,7 @@ def test_warnings(astronaut: np.ndarray, relighter: StatisticalRelighter) -> Non
     assert any("border cuts it" in said for said in cut.warnings)
 
 
-# -- what the model knows -----------------------------------------------------------------------------------------------
+# -- what the model knows
 
 
 def test_dark_and_fair_faces_have_the_same_light(session: PhotoRelighter, relighter: StatisticalRelighter) -> None:
@@ -628,3 +625,15 @@ def test_std_is_of_the_face_alone(session: PhotoRelighter) -> None:
     assert spread[SKIN].mean() > 0
     assert spread[:40].max() == 0
     assert spread[:, :150].max() == 0
+
+
+def test_kinds_without_a_render(half: np.ndarray) -> None:
+    """What an array becomes, and what comes back of it, for the kinds that no other test renders."""
+    for photo in (half[..., 1:2], half[..., 1], (half / 255).astype(np.float16), half.astype(np.uint16)[..., :1] * 257):
+        rgb = as_rgb(photo)
+        assert rgb.shape == (256, 256, 3)
+        assert rgb.dtype == (np.float32 if photo.dtype.kind == "f" else photo.dtype)
+        back = like(photo, rgb)
+        assert back.shape == photo.shape
+        assert back.dtype == photo.dtype
+        assert np.array_equal(back, photo)

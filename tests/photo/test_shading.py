@@ -30,7 +30,7 @@ def light_at(azimuth: float, elevation: float) -> np.ndarray:
 @pytest.mark.parametrize("degrees", [0, 90, 180, 270, 45, 200])
 @pytest.mark.parametrize("high", [0.3, 1.0, 2.5])
 def test_horizon_of_a_wall(degrees: float, high: float) -> None:
-    """atan(height / distance), the distance known to one step of the march and a pixel, in any direction; none away from it."""
+    """atan(height / distance), the distance known to one step and a pixel, in any direction; none away from it."""
     towards = float(np.cos(np.deg2rad(degrees))), float(np.sin(np.deg2rad(degrees)))
     x, y = Grid(3.0, 3.0, -3.0, DENSITY).places()
     distance = 1.0 - (x * towards[0] + y * towards[1])  # to the wall, one unit off the middle
