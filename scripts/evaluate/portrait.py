@@ -13,7 +13,6 @@ import datetime
 import inspect
 import json
 import os
-import shlex
 import statistics
 import subprocess
 import sys
@@ -178,12 +177,15 @@ def commit() -> str:
     return said.stdout.strip() or "unknown"
 
 
-def write_csv(path: Path, results: Mapping[str, Mapping[str, float]], of: str) -> None:
+def write_csv(path: Path, results: Mapping[str, Mapping[str, float]], options: Mapping[str, object], of: str) -> None:
     """A row a method, and above them, behind ``#``, how they came about."""
     columns = ("method", *MEASURES, "ms a light")
+    told = " ".join(f"--{name} {value}" for name, value in options.items())
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", newline="") as file:
-        file.write(f"# command: python {shlex.join(sys.argv)}\n# date: {datetime.date.today()}\n")
+        file.write(
+            f"# command: python scripts/evaluate/portrait.py --data SCAN {told}\n# date: {datetime.date.today()}\n"
+        )
         file.write(f"# machine: {machine()}\n# commit: {of}\n")
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
@@ -243,7 +245,8 @@ def main() -> int:
     print(table(results))
     print(f"machine: {machine()}")
     if args.csv:
-        write_csv(args.csv, results, of)
+        options = {name: getattr(args, name) for name in ("tone", "yaw", "methods", "threads")}
+        write_csv(args.csv, results, options, of)
     if args.json:
         report = {
             "protocol": "portrait-A",
