@@ -186,6 +186,17 @@ def test_cast_shadow_of_a_wall() -> None:
     assert other[dark & middle].min() > 0.98 * floor
 
 
+def test_shadow_ends_where_it_should() -> None:
+    """A wall one unit high under lamps at 40, 45 and 55 degrees: half light at 1 / tan of them, within 0.08 units."""
+    shading = BustShading(bust_of(step))
+    row = int((FINE.top + 0.9) * FINE.density)
+    x = FINE.places()[0][row]
+    for rise in (40, 45, 55):
+        seen = shading.fine_visibility(light_at(rise - 90, 0), 1)[row]
+        first = np.flatnonzero((x < -0.05) & (seen < 0.5))[0]
+        assert x[first] == pytest.approx(-1 / np.tan(np.deg2rad(rise)), abs=0.08)
+
+
 def test_larger_lamps_cast_softer_shadows() -> None:
     """The lighter half of the shadow's edge, from 10 to 90 of 100, widens with the lamp."""
     shading = BustShading(bust_of(step))
