@@ -94,6 +94,7 @@ class FaceModel:
         if method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
         self.relighter, self.frame = relighter, crop_frame(relighter)
+        self.lights = relighter.statistics.lights.cpu()  # pictures stay on the CPU, whatever device the model is on
         self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)
         self.rotation = np.eye(3) if rotation is None else _relative(rotation, _looks_up(relighter))
         turn = torch.from_numpy(self.rotation).float()
@@ -122,7 +123,7 @@ class FaceModel:
             )
         count = int(kept.sum())
         weights = (amounts[kept] / self.exposure)[:, None].expand(-1, 3).contiguous()
-        directions = self.relighter.statistics.lights[kept] @ torch.from_numpy(self.rotation.T).float()
+        directions = self.lights[kept] @ torch.from_numpy(self.rotation.T).float()
         return LightMixture(
             directions, weights, torch.full((count,), MIXTURE_SIZE), torch.zeros(count, dtype=torch.long)
         )
@@ -148,7 +149,7 @@ class FaceModel:
     def _source(self, luminance: Tensor, mask: Tensor, known: Tensor | None) -> SourceLight:
         """The light of one crop; with a ``known`` direction that alone, as strong as the fit says."""
         statistics = self.relighter.statistics
-        average = prior_mean(statistics, statistics.lights).unflatten(1, statistics.size)
+        average = prior_mean(statistics, statistics.lights).unflatten(1, statistics.size).cpu()
         amounts = fit_soft_light(average, luminance, mask)
         strength = float(amounts.sum())
         if strength < 1e-4:
@@ -157,17 +158,17 @@ class FaceModel:
         if known is not None:
             nearest = torch.zeros_like(amounts)
             direction = torch.nn.functional.normalize(known.reshape(3).to(share), dim=0)
-            nearest[(statistics.lights @ direction).argmax()] = strength
+            nearest[(self.lights @ direction).argmax()] = strength
             return SourceLight(direction, nearest, luminance / strength)
-        direction = torch.nn.functional.normalize(share @ statistics.lights, dim=0)
+        direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
-        single = prior_mean(statistics, direction[None]).view(statistics.size).clamp_min(0)
+        single = prior_mean(statistics, direction[None].to(statistics.lights)).view(statistics.size).cpu().clamp_min(0)
         quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
         return SourceLight(direction, amounts, luminance / strength * quotient)
 
     def crops(self, lights: Tensor) -> Tensor:
         """The aligned face under unit ``lights (Q, 3)``, scene radiance before exposure, ``(Q, h, w)``."""
-        return self._mean(lights)[0]
+        return self._mean(lights.to(self.relighter.statistics.lights))[0].cpu()
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
         """The head as it is turned, exposed like the photograph and never negative: ``directions (P, 3)`` to ``(P, h,
@@ -175,14 +176,19 @@ class FaceModel:
 
         Light from behind the head comes from its nearest side.
         """
+        return (self.crops(self._from_head(directions)).clamp_min(0) * self.exposure).numpy()
+
+    def std(self, direction: np.ndarray) -> np.ndarray:
+        """Standard deviation of :meth:`radiance` under one light ``(3,)``, ``(h, w)``."""
+        light = self._from_head(direction[None]).to(self.relighter.statistics.lights)
+        return (self._variance(light)[0, 0].sqrt() * self.exposure).cpu().numpy()
+
+    def _from_head(self, directions: np.ndarray) -> Tensor:
+        """``directions (P, 3)`` as the head sees them, none from behind it."""
         front = directions.astype(np.float64) @ self.rotation
         front[:, 2] = np.maximum(front[:, 2], 0)
         front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
-        return (self.crops(torch.from_numpy(front.astype(np.float32))).clamp_min(0) * self.exposure).numpy()
-
-    def std(self, light: Tensor) -> np.ndarray:
-        """Standard deviation of :meth:`radiance` under one ``light (3,)``, ``(h, w)``."""
-        return (self._variance(light[None])[0, 0].sqrt() * self.exposure).numpy()
+        return torch.from_numpy(front.astype(np.float32))
 
     def trust(self, features: np.ndarray) -> np.ndarray:
         """Where the photograph shows what the model means, ``(h, w)`` in 0 to 1: lit skin, not eyes and teeth, hair,

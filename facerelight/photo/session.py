@@ -86,7 +86,7 @@ def relight(
         size: angular radius of the lamp in degrees: 1 a bare bulb, 5 a small reflector, 15 a soft box, 40 a window.
         fill: share of light from all around, 0 to 1; 0.06 is dramatic, 0.15 a studio.
         strength: 0 the photo, 1 the relit picture, between them a mixture.
-        device: where the statistical model computes.
+        device: where the statistical model computes; a ``relighter`` given is moved there.
 
     Returns:
         The relit photo, of the type, mode, depth and size that came in; a Pillow image is turned upright by its EXIF
@@ -129,7 +129,7 @@ class PhotoRelighter:
         face: which face, as :func:`facerelight.photo.faces.landmarks.find_faces` found it; ``landmarks`` are then its
             own.
         stages: "auto" simulates what each scene calls for, "all" everything; the pictures are the same.
-        device: where the statistical model computes.
+        device: where the statistical model computes; a ``relighter`` given is moved there.
 
     Raises:
         ValueError: a photo or landmarks that cannot be used, or too few photos for the method.
@@ -295,7 +295,7 @@ class PhotoRelighter:
     def std(self, azimuth: float, elevation: float) -> np.ndarray:
         """How unsure the model is of the face: the standard deviation of scene radiance, ``(H, W)`` float32, 0 outside
         the face."""
-        maps = self.model.std(light_from_angles(float(azimuth), float(elevation))) * self.mask.numpy()
+        maps = self.model.std(light_from_angles(float(azimuth), float(elevation)).numpy()) * self.mask.numpy()
         height, width = self._pixels.shape[:2]
         out = np.zeros((height, width), np.float32)
         part = out[self.window.rows, self.window.columns]
