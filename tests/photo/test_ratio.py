@@ -167,6 +167,24 @@ def test_bust_meets_the_face(shading: BustShading) -> None:
     assert slope[(oval > 0.7) & (oval < 1.2) & (oval > 0)].max() < 2
 
 
+def test_bust_meets_the_face_on_either_side(shading: BustShading) -> None:
+    """A factor that grows across the face pulls the bust beside it the same way, by a part of it."""
+    across = np.exp(0.4 * crop_places()[0]).astype(np.float32)
+    face = evidence()
+    own = SOURCE.directions.numpy()
+
+    def radiance(directions: np.ndarray) -> np.ndarray:
+        same = np.array([np.abs(own - one).sum(1).min() < 1e-6 for one in directions])
+        return face.radiance(directions) * np.where(same[:, None, None], 1, across)
+
+    light = scene_light([Lamp(20, 10, 30)])
+    tilted, plain = (LightRatio(one, CROP, shading, SOURCE)(light) for one in (face._replace(radiance=radiance), face))
+    x, y = FINE.places()
+    rim = (np.hypot(x, (y + 0.42) / 1.42) > 1.02) & (np.hypot(x, (y + 0.42) / 1.42) < 1.12) & (np.abs(y + 0.42) < 0.5)
+    left, right = ((tilted - plain)[..., 0][rim & side].mean() for side in (x < 0, x > 0))
+    assert 0.15 < right - left < 0.4 * 2
+
+
 def test_what_is_unsure_follows_its_surroundings(shading: BustShading) -> None:
     """A patch where the model is far off and not trusted is no patch in the ratio."""
     x, y = crop_places()
