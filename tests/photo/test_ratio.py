@@ -157,7 +157,7 @@ def test_bust_meets_the_face(shading: BustShading) -> None:
     """Where model and bust disagree by a factor, the bust goes to the model's side, without an edge between them."""
     ratio = LightRatio(evidence(new=1.5), CROP, shading, SOURCE)
     plain = LightRatio(evidence(), CROP, shading, SOURCE)
-    light = scene_light([Lamp(20, 10, 30)])
+    light = scene_light([Lamp(20, 10, 30, 0.5)])
     gap = (ratio(light) - plain(light))[..., 0]
     x, y = FINE.places()
     oval = np.hypot(x, (y + 0.42) / 1.42)
