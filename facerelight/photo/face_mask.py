@@ -37,6 +37,6 @@ def face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
         0, 1
     ) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
     mask = torch.maximum(around * skin, inner)
-    guide = brightness.clamp(0, 1).sqrt()
+    guide = (0.5 * brightness / brightness[core].median().clamp_min(1e-4)).clamp(0, 1).sqrt()  # dark skin like fair
     smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
     return (smooth * around).float()

@@ -31,7 +31,8 @@ AROUND, HEARSAY = 0.1, 0.02  # units over which, and weight with which, the unsu
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
-BUST_DARKEST, BUST_BRIGHTEST = -3.5, 1.1
+DEEPER = 0.3  # than the face's own darkest shade, in log, the rest may become
+BUST_DARKEST, BUST_BRIGHTEST = -2.5, 0.8
 SOFT = 20.0  # degrees: a source as large as this has no edges to sharpen
 SAME_LIGHT = 0.05  # a change of the face's log ratio that is none
 
@@ -102,7 +103,10 @@ class LightRatio:
             + np.clip(level, -LEVEL, LEVEL)
             + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
         )
-        outer = np.clip(_blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
+        shade = (
+            float(np.quantile(inner[self.weight > 0.5], 0.05)) - DEEPER
+        )  # hair is hardly deeper in shade than the face
+        outer = np.clip(_blur(np.maximum(outer, shade), 1.2), BUST_DARKEST, BUST_BRIGHTEST)
         return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
 
     def _bust_ratio(self, bust: np.ndarray, faint: float) -> np.ndarray:
@@ -138,7 +142,7 @@ class LightRatio:
             strength = float(share.max())
             if strength == 0:
                 continue
-            share = share / strength
+            share = np.round(share / strength, 5)  # as exact as float32 sums are, so that other fills find it again
             key = (towards.tobytes(), share.tobytes(), size)
             found = self._soft.get(key)
             if found is None:

@@ -8,8 +8,9 @@ the photograph's own pixels, which stay as they are wherever the person is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
+from numbers import Real
 from typing import Literal, TypeVar
 
 import cv2
@@ -46,10 +47,12 @@ LIFT, ROOM = (
     0.35,
     0.9,
 )  # a dark photograph's lit side is exposed up by so much, in log; one as bright as the second not at all
+WHITE = 0.98  # quantile of the window's luminance that is its white
 DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
 FEW = 50  # pixels of skin, fewer are not exposed for
+RIM = 0.03  # units, how wide an outline is
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
@@ -101,7 +104,7 @@ def relight(
         >>> relight(astronaut(), azimuth=-60, elevation=20).shape  # doctest: +SKIP
         (512, 512, 3)
     """
-    wanted = [Lamp(azimuth, elevation, size)] if lights is None else list(lights)
+    wanted = [Lamp(azimuth, elevation, size)] if lights is None else _as_sources(lights)
     scene_light(wanted, fill)  # said before the work what is wrong with them
     _check_share("strength", strength)
     if isinstance(photo, Image.Image):
@@ -260,12 +263,12 @@ class PhotoRelighter:
         Raises:
             ValueError: lights that cannot be used.
         """
-        if isinstance(lights, int | float):
+        if isinstance(lights, float | Real):
             sources: list[Source] = [Lamp(float(lights), float(elevation or 0.0), size)]
         elif elevation is not None:
             raise ValueError("elevation: expected with an azimuth in degrees alone; a Lamp has its own")
         else:
-            sources = [lights] if isinstance(lights, Lamp | LightMixture) else list(lights)
+            sources = _as_sources(lights)
         _check_share("strength", strength)
         light = scene_light(sources, fill)
         ratio = self._ratio
@@ -283,7 +286,7 @@ class PhotoRelighter:
             change = self._change(log_ratio)
             log_ratio = log_ratio + self._exposure(log_ratio, change)
             held = 1 - HELD * self._skin.pigment[..., None]
-            log_ratio = np.where(log_ratio > 0, held * log_ratio, log_ratio)
+            log_ratio = np.where(log_ratio > 0, held * self._rimless[..., None] * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
         changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, change, float(strength))
@@ -316,7 +319,8 @@ class PhotoRelighter:
             return 0.0
         relit = luminance * np.exp(log_ratio.mean(-1))
         before, after = (max(float(np.quantile(values[skin], EXPOSED)), 1e-4) for values in (luminance, relit))
-        lift = LIFT * change * max(1 - before / ROOM, 0.0)
+        white = float(np.quantile(luminance, WHITE))  # dark skin in a well exposed picture is to stay dark
+        lift = LIFT * change * max(1 - max(before, 0.5 * white) / ROOM, 0.0)
         return float(np.clip(np.log(before / after) + lift, DARKER, BRIGHTER))
 
     @cached_property
@@ -347,6 +351,12 @@ class PhotoRelighter:
             return cover.astype(np.float32)
 
     @cached_property
+    def _rimless(self) -> np.ndarray:
+        """0 on the person's outline, 1 inside, ``(h, w)``: an outline that is brightened glows."""
+        inside = cv2.GaussianBlur(self._cover, (0, 0), max(RIM * self.window.unit, 0.5))
+        return np.clip((inside - 0.55) / 0.35, 0, 1)
+
+    @cached_property
     def _skin(self) -> SkinColour:
         with self._log.measure("skin", "highlights and shade have their own colour"):
             face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
@@ -374,6 +384,16 @@ class PhotoRelighter:
             self._to_crop = matrix
         crop = window.onto_crop(to_scene(small_copy(pixels, window)))
         return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
+
+
+def _as_sources(lights: Source | Sequence[Source]) -> list[Source]:
+    """A list of sources, from one or several."""
+    sources = (
+        [lights] if isinstance(lights, Lamp | LightMixture) else list(lights) if isinstance(lights, Iterable) else []
+    )
+    if not sources or not all(isinstance(source, Lamp | LightMixture) for source in sources):
+        raise ValueError(f"lights: expected a Lamp, a list of them, or an azimuth in degrees, got {lights!r}")
+    return sources
 
 
 def _check_share(name: str, value: float) -> None:

@@ -19,6 +19,7 @@ __all__ = ["person_matte"]
 
 NETWORK_SIZE = (256, 256)
 RADIUS = 0.10  # of the guided filter, in units
+TIGHT = (0.3, 0.92)  # of the filtered cover: what is nearly background is background, so that no light spills on it
 SEEN = 0.4  # of the face at least, else the network has not seen the person
 EDGE = 1e-4 * 255**2  # variance of colour, in grey levels, that counts as an edge
 
@@ -41,7 +42,7 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
-    return np.clip((fine - 0.12) / 0.76, 0, 1)
+    return np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
 
 
 @lru_cache(maxsize=1)

@@ -13,6 +13,7 @@ from facerelight.photo.bust.frame import Grid
 __all__ = ["Relief", "draw_mesh", "harmonic", "unit_vectors"]
 
 SIZES = (2, 4, 7, 12, 20, 60)  # pixels: a triangle is sampled as densely as its size class needs
+THIN = 0.02  # of a coarse pixel: so little that is known fixes it, and thin lines are not lost
 THICKNESS = 0.03  # units: samples that far below the highest belong to the same surface
 
 
@@ -55,7 +56,7 @@ def draw_mesh(
     kept = triangles[inside & facing]
     extent = (corner.max(1) - corner.min(1)).max(1)[inside & facing]
     corners = np.concatenate((flat, vertices[:, 2:], normals), 1).astype(np.float32)  # (V, 6)
-    classes = np.searchsorted(SIZES, extent)
+    classes = np.minimum(np.searchsorted(SIZES, extent), len(SIZES) - 1)
     parts = [
         np.matmul(_even_shares(size + size // 2 + 1), corners[kept[classes == k]]).reshape(-1, 6)
         for k, size in enumerate(SIZES)
@@ -111,19 +112,20 @@ def harmonic(value: np.ndarray, known: np.ndarray, inside: np.ndarray, rounds: i
     ]
     while min(levels[-1][1].shape) > 12:
         half = levels[-1][1].shape[1] // 2, levels[-1][1].shape[0] // 2
+        smaller = (cv2.resize(part.astype(np.float32), half, interpolation=cv2.INTER_AREA) for part in levels[-1])
         levels.append(
-            tuple(cv2.resize(part.astype(np.float32), half, interpolation=cv2.INTER_AREA) for part in levels[-1])
+            tuple(part.reshape(half[::-1] + whole.shape[2:]) for part, whole in zip(smaller, levels[-1], strict=True))
         )
     cross = np.array(((0, 1, 0), (1, 0, 1), (0, 1, 0)), np.float32)
     v, k, _ = levels[-1]
     field: np.ndarray = np.broadcast_to(v.sum((0, 1)) / max(float(k.sum()), 1e-6), v.shape).astype(np.float32)
     for v, k, i in reversed(levels):
         field = cv2.resize(field, v.shape[1::-1], interpolation=cv2.INTER_LINEAR).reshape(v.shape)
-        field = np.where((k > 0.25)[..., None], v / np.maximum(k, 1e-6)[..., None], field).astype(np.float32)
+        here = k > THIN
+        field = np.where(here[..., None], v / np.maximum(k, 1e-6)[..., None], field).astype(np.float32)
         weight = (i > 0.3).astype(np.float32)
         around = np.maximum(cv2.filter2D(weight, -1, cross, borderType=cv2.BORDER_CONSTANT), 1e-6)
-        share = (weight > 0) & (k <= 0.25)
-        share = (share / around)[..., None].astype(np.float32)  # 0 where the value stays
+        share = (((weight > 0) & ~here) / around)[..., None].astype(np.float32)  # 0 where the value stays
         stays = field * (share == 0)
         for _ in range(rounds):
             moved = cv2.filter2D(field * weight[..., None], -1, cross, borderType=cv2.BORDER_CONSTANT)

@@ -21,6 +21,7 @@ AZIMUTHS = 16  # horizons of the coarse grid; those between are interpolated
 COARSE_BIAS, FINE_BIAS = 0.05, 0.004  # heights nearer than this, in units, shade nothing: they are the grid's own error
 REACH = 3.6  # units: nothing farther off casts a shadow that matters
 AT_CAMERA = 0.02  # sine of the angle from the camera below which a lamp sees what the camera sees
+NO_EDGE = 2.0  # degrees: at the camera a larger lamp is partly hidden at steep places
 SMALLEST = 0.25  # degrees: no lamp is a point
 CLOTHES_SOFT, CLOTHES_BLUR = (
     10.0,
@@ -99,7 +100,7 @@ class BustShading:
 
     def fine_visibility(self, light: np.ndarray, size: float) -> np.ndarray:
         """How much of a lamp reaches each place of :data:`FINE`, 0 to 1, its horizon marched exactly."""
-        if self._sees_all(light):
+        if size < NO_EDGE and self._sees_all(light):
             return np.ones(FINE.size, np.float32)
         side = max(float(np.hypot(light[0], light[1])), 1e-6)
         towards = round(float(light[0]) / side, 4), round(float(light[1]) / side, 4)
