@@ -252,3 +252,19 @@ def test_sources_of_one_number_are_one(ratio: LightRatio) -> None:
     assert isinstance(ratio(apart), np.ndarray)
     assert once <= 1
     assert ratio.shading.marches - marches - once >= 2
+
+
+def test_what_the_own_light_leaves_unexplained_goes_with_it(shading: BustShading, ratio: LightRatio) -> None:
+    """A patch that the photograph shows darker than its fitted light explains is lifted by as much under another light."""
+    known, (x, y) = evidence(), crop_places()
+    patch = np.hypot(x + 0.25, y + 0.5) < 0.3
+    spotted = LightRatio(
+        known._replace(luminance=np.where(patch, 0.7, 1).astype(np.float32) * known.luminance), CROP, shading, SOURCE
+    )
+    fx, fy = FINE.places()
+    middle, elsewhere = np.hypot(fx + 0.25, fy + 0.5) < 0.1, inner(0.5) & (np.hypot(fx + 0.25, fy + 0.5) > 0.6)
+    light = scene_light([Lamp(45, 10, 30)])
+    lifted = (spotted(light) - ratio(light))[..., 0]
+    assert lifted[middle].mean() == pytest.approx(-np.log(0.7), abs=0.06)
+    assert np.abs(lifted[elsewhere]).max() < 0.03
+    assert np.abs(spotted(SOURCE)[middle]).max() < 1e-4
