@@ -386,12 +386,11 @@ class PhotoRelighter:
         return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
 
 
-def _as_sources(lights: Source | Sequence[Source]) -> list[Source]:
+def _as_sources(lights: object) -> list[Source]:
     """A list of sources, from one or several."""
-    sources = (
-        [lights] if isinstance(lights, Lamp | LightMixture) else list(lights) if isinstance(lights, Iterable) else []
-    )
-    if not sources or not all(isinstance(source, Lamp | LightMixture) for source in sources):
+    given = list(lights) if isinstance(lights, Iterable) and not isinstance(lights, LightMixture) else [lights]
+    sources = [source for source in given if isinstance(source, Lamp | LightMixture)]
+    if len(sources) < len(given):
         raise ValueError(f"lights: expected a Lamp, a list of them, or an azimuth in degrees, got {lights!r}")
     return sources
 
