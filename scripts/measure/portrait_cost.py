@@ -9,7 +9,6 @@ of runs that alternate; a busy machine makes them larger, so its load is said to
 import argparse
 import json
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -50,16 +49,16 @@ def portrait() -> np.ndarray:
 
     photo = astronaut()
     marks = find_faces(photo)[0].landmarks
-    scale = UNIT / float(np.linalg.norm(marks[1] - marks[0]))
-    x, y = marks[:2].mean(0)
-    matrix = np.array([[scale, 0, WIDTH / 2 - scale * x], [0, scale, HEIGHT * 0.38 - scale * y]])
+    (right, down), (x, y) = marks[1] - marks[0], marks[:2].mean(0)
+    turn = UNIT / (right**2 + down**2) * np.array([[right, down], [-down, right]])  # the eyes level
+    matrix = np.column_stack((turn, np.array([WIDTH / 2, HEIGHT * 0.38]) - turn @ (x, y)))
     return cv2.warpAffine(photo, matrix, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 def close_up(photo: np.ndarray, face: Face) -> tuple[np.ndarray, np.ndarray]:
     """The middle of the face alone, from eye to eye and down to the mouth, and the landmarks in it."""
     (left, top), (right, bottom) = np.floor(face.landmarks.min(0)), np.ceil(face.landmarks.max(0))
-    left, top, right, bottom = int(left) - 1, int(top) - 8, int(right) + 2, int(bottom) + 6
+    left, top, right, bottom = int(left), int(top) - 8, int(right) + 1, int(bottom) + 1
     return np.ascontiguousarray(photo[top:bottom, left:right]), face.landmarks - (left, top)
 
 
@@ -132,23 +131,29 @@ def large_photo(small: np.ndarray, face: Face, fills: bool) -> np.ndarray:
     return photo
 
 
-def resident() -> float:
-    """Megabytes that this process holds now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
+def held(name: str) -> float:
+    """Megabytes of this process: "VmRSS" now, "VmHWM" at most. (getrusage's peak counts the process that started it.)"""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith(name + ":"))
 
 
 def run_large(path: Path, repeats: int) -> dict[str, float]:
     """Seconds and peak memory of a photograph (.npy) above what was held when it had been read."""
     relighter, photo = load_relighter(), np.load(path)
-    before = resident()
+    before = held("VmRSS")
     built, session = clocked(lambda: PhotoRelighter(photo, None, relighter))
     first = clocked(lambda: session.render(LAMP, fill=FILL))[0]
     later = [clocked(lambda k=k: session.render(Lamp(-50 + 10 * k, 30), fill=FILL))[0] for k in range(repeats)]
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    peak = held("VmHWM")
     x0, y0, x1, y1 = session.face.box
-    pixels = next(s.seconds for s in reversed(session.stages) if s.name == "pixels")
-    values = {"constructor": built, "first light": first, "light": statistics.median(later), "of it, pixels": pixels}
+    pixels = statistics.median([stage.seconds for stage in session.stages if stage.name == "pixels"][1:])
+    values = {
+        "held before MB": before,
+        "constructor": built,
+        "first light": first,
+        "light": statistics.median(later),
+        "of it, pixels": pixels,
+    }
     return values | {"peak MB": peak - before, "face share": (x1 - x0) * (y1 - y0) / photo[..., 0].size}
 
 
