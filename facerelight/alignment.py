@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import kornia.geometry.transform as kt
 import torch
 from torch import Tensor
 
@@ -140,14 +139,18 @@ def warp_to_crop(image: Tensor, matrix: Tensor, frame: CropFrame) -> Tensor:
         matrix = torch.cat(
             (matrix[..., :2] * factor, matrix[..., 2:] + matrix[..., :2].sum(-1, keepdim=True) * centre), -1
         )
-    return kt.warp_affine(
+    from kornia.geometry.transform import warp_affine  # half a second that a photo's relighting does not need
+
+    return warp_affine(
         image, matrix.to(image), (frame.height, frame.width), mode="bilinear", padding_mode="border", align_corners=True
     )
 
 
 def warp_from_crop(crop: Tensor, matrix: Tensor, size: tuple[int, int]) -> Tensor:
     """The way back: ``crop`` ``(B, C, h, w)`` resampled to an image of ``size`` (H, W); zero outside the crop."""
-    return kt.warp_affine(
+    from kornia.geometry.transform import warp_affine
+
+    return warp_affine(
         crop,
         invert_similarity(matrix.double()).to(crop),
         size,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 
 __all__ = ["gaussian_blur"]
@@ -18,6 +17,8 @@ def gaussian_blur(images: Tensor, sigma: float) -> Tensor:
         >>> gaussian_blur(torch.ones(2, 8, 8), 1.0).allclose(torch.ones(2, 8, 8))
         True
     """
+    from kornia.filters import get_gaussian_kernel1d
+
     for axis in (-1, -2):
         size = images.shape[axis]
         reach = int(3 * sigma + 0.5)

@@ -7,9 +7,7 @@ found by Gauss and Newton's method on the correlation of local contrast, which l
 
 from __future__ import annotations
 
-import kornia
 import torch
-from kornia.geometry.transform import warp_affine
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -148,7 +146,9 @@ def align_people(images: Tensor, lights: Tensor, valid: Tensor | None = None) ->
 def local_contrast(images: Tensor) -> Tensor:
     """``(image - blurred) / blurred`` of ``(M, H, W)``: edges and features, whatever the shading; near zero in the dark."""
     side = max(3, images.shape[-1] // 9 | 1)
-    blurred = kornia.filters.box_blur(images[:, None], (side, side), "replicate")[:, 0]
+    from kornia.filters import box_blur  # only registration needs it
+
+    blurred = box_blur(images[:, None], (side, side), "replicate")[:, 0]
     return (images - blurred) / (blurred.clamp_min(0) + 0.1 * images.mean((1, 2), keepdim=True).clamp_min(1e-6))
 
 
@@ -181,6 +181,8 @@ def _matrix(theta: Tensor, size: tuple[int, int] | torch.Size) -> Tensor:
 def _warp(images: Tensor, matrix: Tensor) -> Tensor:
     """kornia's affine warp of ``(..., H, W)``; ``matrix (3, 3)`` from places in ``images`` to places in the result."""
     flat = images.reshape(1, -1, *images.shape[-2:])
+    from kornia.geometry.transform import warp_affine
+
     moved = warp_affine(
         flat,
         matrix[None, :2].to(flat),

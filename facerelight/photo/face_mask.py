@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import kornia
+import cv2
 import torch
 from torch import Tensor
 
@@ -38,5 +38,6 @@ def face_mask(crop: Tensor, frame: CropFrame) -> Tensor:
     ) * below_fringe  # brows, eyes, lips and shadows inside belong to the face
     mask = torch.maximum(around * skin, inner)
     guide = (0.5 * brightness / brightness[core].median().clamp_min(1e-4)).clamp(0, 1).sqrt()  # dark skin like fair
-    smooth = kornia.filters.guided_blur(guide[None, None], mask[None, None], 7, 1e-3)[0, 0].clamp(0, 1)
+    edges = (guide * 255).round().byte().numpy()
+    smooth = torch.from_numpy(cv2.ximgproc.guidedFilter(edges, mask.float().numpy(), 3, 1e-3 * 255**2)).clamp(0, 1)
     return (smooth * around).float()
