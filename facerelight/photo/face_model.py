@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -20,6 +19,7 @@ from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
 from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
 from facerelight.mle import MaximumLikelihood
+from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 from facerelight.relighter import METHODS, Method, StatisticalRelighter
 from facerelight.sources import LUMINANCE, LightMixture
@@ -205,9 +205,9 @@ class FaceModel:
         )  # dark skin is not shade
         lit = np.clip((luminance / max(level, 1e-4) - 0.07) / 0.2, 0, 1)
         floor = 0.03 * max(level, 1e-4)
-        apart = np.abs(np.log((_blur(luminance, 2) + floor) / (_blur(expected, 2) + floor)))
+        apart = np.abs(np.log((blur(luminance, 2) + floor) / (blur(expected, 2) + floor)))
         agrees = np.clip((1 - apart) / 0.5, 0, 1)
-        return _blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
+        return blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:
@@ -225,7 +225,3 @@ def _relative(rotation: np.ndarray, looks_up: float) -> np.ndarray:
 def _luminance(crop: Tensor) -> Tensor:
     """Of a crop ``(3, h, w)``, ``(h, w)``."""
     return torch.tensordot(torch.tensor(LUMINANCE).to(crop), crop, 1)
-
-
-def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma)

@@ -12,11 +12,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from facerelight.alignment import CropFrame
-from facerelight.photo.bust.frame import BUST, FINE, between, crop_onto
+from facerelight.photo.bust.frame import BUST, FINE, between, blur, crop_onto
 from facerelight.photo.bust.shading import BustShading
 from facerelight.sources import LightMixture
 
@@ -65,20 +64,20 @@ class LightRatio:
         self.face, self.crop, self.shading = face, crop, shading
         weight = np.clip((1 - crop.oval().numpy()) / 0.3, 0, 1)
         self.weight = crop_onto((weight * weight * (3 - 2 * weight)).astype(np.float32), crop, FINE)
-        self._norm = np.maximum(_blur(self.weight, COARSE * FINE.density), 1e-3)
-        rim = crop_onto(_blur(face.mask, 1.5), crop, FINE)
+        self._norm = np.maximum(blur(self.weight, COARSE * FINE.density), 1e-3)
+        rim = crop_onto(blur(face.mask, 1.5), crop, FINE)
         self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
-        self._near_rim = _blur(self.rim, JOIN * FINE.density)
+        self._near_rim = blur(self.rim, JOIN * FINE.density)
         self.trust = crop_onto(face.trust.astype(np.float32), crop, FINE)
         self._sure = (self.trust + HEARSAY) * (self.weight > 0)
-        self._around = np.maximum(_blur(self._sure, AROUND * FINE.density), 1e-4)
-        self._fully_lit = np.maximum(_blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
+        self._around = np.maximum(blur(self._sure, AROUND * FINE.density), 1e-4)
+        self._fully_lit = np.maximum(blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
         self.dark = DARK * max(mean, 1e-3)
         self._soft: dict[tuple[bytes, bytes, float], tuple[np.ndarray, np.ndarray]] = {}
         own = self._maps(source)
         self.source_face, self.source_bust = own[0][..., 0], own[1][..., 0]
-        seen = crop_onto(_blur(face.luminance, 0.8), crop, FINE, 1.0)
+        seen = crop_onto(blur(face.luminance, 0.8), crop, FINE, 1.0)
         self.unexplained = self.trust * np.clip(np.log((self.source_face + self.dark) / (seen + self.dark)), -1, 1)
 
     def __call__(self, light: LightMixture) -> np.ndarray:
@@ -93,11 +92,11 @@ class LightRatio:
         inner = (
             inner + self._changed(inner) * self.unexplained
         )  # what the photograph's own light left unexplained goes with it
-        around = _blur(inner * self._sure, AROUND * FINE.density) / self._around
+        around = blur(inner * self._sure, AROUND * FINE.density) / self._around
         inner = self.trust * inner + (1 - self.trust) * around  # what is unsure follows what surrounds it
         outer = self._bust_ratio(bust, FAINT)
         level = float((self.rim * (inner - outer)).sum() / max(float(self.rim.sum()), 1e-6))
-        near = _blur(self.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(self._near_rim, 1e-4)
+        near = blur(self.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(self._near_rim, 1e-4)
         outer = (
             outer
             + np.clip(level, -LEVEL, LEVEL)
@@ -106,7 +105,7 @@ class LightRatio:
         shade = (
             float(np.quantile(inner[self.weight > 0.5], 0.05)) - DEEPER
         )  # hair is hardly deeper in shade than the face
-        outer = np.clip(_blur(np.maximum(outer, shade), 1.2), BUST_DARKEST, BUST_BRIGHTEST)
+        outer = np.clip(blur(np.maximum(outer, shade), 1.2), BUST_DARKEST, BUST_BRIGHTEST)
         return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
 
     def _bust_ratio(self, bust: np.ndarray, faint: float) -> np.ndarray:
@@ -118,7 +117,7 @@ class LightRatio:
     def _with_edges(self, model: np.ndarray, bust: np.ndarray) -> np.ndarray:
         """Coarse shading from the model, fine shading mostly from the bust."""
         gap = model - bust
-        coarse = _blur(gap * self.weight, COARSE * FINE.density) / self._norm
+        coarse = blur(gap * self.weight, COARSE * FINE.density) / self._norm
         return model + EDGES * (np.clip(bust + coarse, DARKEST, BRIGHTEST) - model)
 
     def _changed(self, inner: np.ndarray) -> float:
@@ -192,7 +191,3 @@ def _channels(light: LightMixture) -> np.ndarray:
     """Weights ``(P, C)``: one channel where the light is white."""
     weights = light.weights.numpy()
     return weights[:, :1] if light.white else weights
-
-
-def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), sigma)

@@ -307,14 +307,14 @@ class PhotoRelighter:
 
     def _change(self, log_ratio: np.ndarray) -> float:
         """How surely the light is another, 0 to 1: what varies over the skin."""
-        skin = self._skin.skin * self._cover > 0.6
+        skin = self._sure_skin
         variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
         return variance / (variance + SAME_LIGHT**2)
 
     def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
         """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there
         is room."""
-        luminance, skin = self._scene @ LUMA, self._skin.skin * self._cover > 0.6
+        luminance, skin = self._scene @ LUMA, self._sure_skin
         if skin.sum() < FEW:
             return 0.0
         relit = luminance * np.exp(log_ratio.mean(-1))
@@ -324,12 +324,23 @@ class PhotoRelighter:
         return float(np.clip(np.log(before / after) + lift, DARKER, BRIGHTER))
 
     @cached_property
+    def _to_bust(self) -> np.ndarray:
+        """``(2, 3)``: pixels of the photo to bust coordinates."""
+        to_crop = fit_similarity(self.landmarks, self.frame.landmarks).numpy()
+        return compose(crop_to_bust(self.frame), to_crop)
+
+    @cached_property
+    def _sure_skin(self) -> np.ndarray:
+        """``(h, w)`` bool: what the picture is exposed for."""
+        return self._skin.skin * self._cover > 0.6
+
+    @cached_property
     def _points(self) -> np.ndarray | None:
         """The face's dense points in bust coordinates, ``(468, 3)``."""
         points = self.face.points
         if points is None:
             return None
-        to_bust = compose(crop_to_bust(self.frame), self._to_crop)
+        to_bust = self._to_bust
         unit = np.sqrt(abs(np.linalg.det(to_bust[:, :2])))
         return np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
 
@@ -369,7 +380,7 @@ class PhotoRelighter:
         cover = self._cover
         with self._log.measure("bust", "neck, hair and clothes follow the light"):
             in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
-            down = _down(compose(crop_to_bust(self.frame), self._to_crop))
+            down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
             trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
@@ -380,8 +391,6 @@ class PhotoRelighter:
         """The window around a face, and the model's crop of it: scene radiance ``(3, h, w)``."""
         matrix = fit_similarity(check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
         window = working_window(pixels.shape, matrix, self.frame)
-        if pixels is self._pixels:
-            self._to_crop = matrix
         crop = window.onto_crop(to_scene(small_copy(pixels, window)))
         return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window
+from facerelight.photo.bust.frame import Window, blur
 from facerelight.photo.colour import LUMA, SkinColour, least_channel, most_channel, part_highlight
 
 __all__ = ["skin_colour"]
@@ -40,8 +40,8 @@ def skin_colour(
     diffuse /= np.maximum(diffuse @ LUMA, 1e-4)[..., None]
     elsewhere = _skin_elsewhere(scene, diffuse, matte, window) * (1 - features)
     skin = np.maximum(sure, elsewhere).astype(np.float32)
-    near = _blur(sure, SPREAD * window.unit)
-    relative = luminance / np.maximum(_blur(luminance * sure, SPREAD * window.unit) / np.maximum(near, 1e-3), 1e-4)
+    near = blur(sure, SPREAD * window.unit)
+    relative = luminance / np.maximum(blur(luminance * sure, SPREAD * window.unit) / np.maximum(near, 1e-3), 1e-4)
     inside = np.clip((1.1 - oval) / 0.15, 0, 1) * (1 - features) * np.clip((relative - LIT_FROM) / 0.2, 0, 1)
     on_face = np.clip((1.25 - oval) / 0.5, 0, 1)
     dark = np.clip((DARK_PIGMENT - relative) / 0.2, 0, 1) * np.clip(4 * near, 0, 1)
@@ -60,19 +60,19 @@ def _own_colour(scene: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarr
     saturation = 1 - least_channel(scene) / np.maximum(most_channel(scene), 1e-4)
     led = weight * np.exp(np.clip(SATURATED * saturation, 0, 12))
     colour = scene / np.maximum(scene @ LUMA, 1e-4)[..., None]
-    local = _blur(colour * led[..., None], sigma) / np.maximum(_blur(led, sigma), 1e-6)[..., None]
+    local = blur(colour * led[..., None], sigma) / np.maximum(blur(led, sigma), 1e-6)[..., None]
     total = float((led * weight).sum())
     whole = (local * (led * weight)[..., None]).sum((0, 1)) / max(total, 1e-6) if total > 0 else np.ones(3, np.float32)
-    known = np.clip(_blur(weight, sigma) * 8, 0, 1)[..., None]
+    known = np.clip(blur(weight, sigma) * 8, 0, 1)[..., None]
     return known * local + (1 - known) * whole
 
 
 def _cast(scene: np.ndarray, lit: np.ndarray, sigma: float) -> np.ndarray:
     """How the colour of the light on a place differs from that on all of the face, ``(h, w, 3)``, 1 where it does
     not."""
-    local = _blur(scene * lit[..., None], sigma)
+    local = blur(scene * lit[..., None], sigma)
     local = local / np.maximum(local @ LUMA, 1e-5)[..., None]
-    known = np.clip(_blur(lit, sigma) * 8, 0, 1)[..., None]
+    known = np.clip(blur(lit, sigma) * 8, 0, 1)[..., None]
     cast = np.clip(local / np.maximum(_mean_colour(scene, lit), 1e-3), 1 / LARGEST_CAST, LARGEST_CAST)
     return known * cast + (1 - known)
 
@@ -94,12 +94,8 @@ def _skin_elsewhere(scene: np.ndarray, diffuse: np.ndarray, matte: np.ndarray, w
     like = like * np.clip((luminance - 0.02) / 0.03, 0, 1)
     x, y = window.places()
     near = np.clip(4.5 - np.hypot(x, y), 0, 1)
-    return _blur(like * matte * near, max(0.8, 0.025 * window.unit))
+    return blur(like * matte * near, max(0.8, 0.025 * window.unit))
 
 
 def _enlarged(image: np.ndarray, window: Window) -> np.ndarray:
     return cv2.resize(image.astype(np.float32), window.size[::-1], interpolation=cv2.INTER_LINEAR)
-
-
-def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), max(sigma, 0.3))

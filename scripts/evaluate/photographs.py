@@ -7,7 +7,6 @@ lamp.
 """
 
 import argparse
-import inspect
 import json
 import sys
 import time
@@ -43,9 +42,7 @@ TALL, A_SHEET = 400, 5  # pixels of a picture; photos on a sheet
 
 def render(session: PhotoRelighter, lamps: Sequence[Lamp], fill: float) -> np.ndarray:
     """The photo under lamps, ``(H, W, 3)`` uint8."""
-    if "fill" in inspect.signature(session.render).parameters:
-        return session.render(lamps, fill=fill)
-    return session.render(lamps[0].azimuth, lamps[0].elevation)
+    return session.render(lamps, fill=fill)
 
 
 def truth_steps(folder: Path, cache: Path | None, frame: CropFrame) -> dict[str, float]:

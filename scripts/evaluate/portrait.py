@@ -10,7 +10,6 @@ worth. The scan is Lee Perry-Smith's (CC-BY 3.0): lps_head.npz (vertices, triang
 import argparse
 import csv
 import datetime
-import inspect
 import json
 import os
 import statistics
@@ -50,9 +49,7 @@ def facerelight(load: Callable[[], StatisticalRelighter], **options: object) -> 
 
     def make(photo: np.ndarray, landmarks: np.ndarray) -> Render:
         session = PhotoRelighter(photo, landmarks, load(), **options)
-        if "fill" in inspect.signature(session.render).parameters:
-            return lambda lamps, fill: session.render(lamps, fill=fill)
-        return lambda lamps, fill: session.render(lamps[0].azimuth, lamps[0].elevation)
+        return lambda lamps, fill: session.render(lamps, fill=fill)
 
     return make
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from facerelight.alignment import CropFrame
 
-__all__ = ["BUST", "FINE", "Grid", "Window", "between", "crop_onto", "working_window"]
+__all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "working_window"]
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,11 @@ def crop_onto(image: np.ndarray, crop: CropFrame, grid: Grid, border: float = 0.
 def between(image: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
     """A map of one grid on another."""
     return _warp(image, compose(target.matrix(), invert(source.matrix())), target.size)
+
+
+def blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Gaussian blur of a map ``(H, W)`` or ``(H, W, C)``, ``sigma`` in pixels; float32."""
+    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), max(sigma, 0.3))
 
 
 def compose(second: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from PIL import Image
 
 from facerelight.photo.files.exif import exif_of, turn_upright
 from facerelight.photo.files.profiles import (
+    LUMINANCE,
     SRGB,
     SRGB_GREY,
     PlainCmyk,
@@ -23,7 +24,6 @@ from facerelight.photo.files.profiles import (
 
 __all__ = ["PhotoFile", "from_pillow", "to_pillow"]
 
-LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 LARGEST_SCALE = 8.0  # of what sRGB could not hold, when a pixel becomes lighter
 
 
