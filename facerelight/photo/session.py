@@ -51,6 +51,7 @@ WHITE = 0.98  # quantile of the window's luminance that is its white
 DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
+OUTLINE = 1.1  # of the face's oval, inside which skin is the face's
 FEW = 50  # pixels of skin, fewer are not exposed for
 RIM = 0.03  # units, how wide an outline is
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
@@ -285,7 +286,7 @@ class PhotoRelighter:
             log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
             change = self._change(log_ratio)
             log_ratio = log_ratio + self._exposure(log_ratio, change)
-            held = 1 - HELD * self._skin.pigment[..., None]
+            held = 1 - HELD * (self._skin.pigment * (1 - self.window.from_crop(self._trust, outside=0.0)))[..., None]
             log_ratio = np.where(log_ratio > 0, held * self._rimless[..., None] * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
@@ -330,9 +331,16 @@ class PhotoRelighter:
         return compose(crop_to_bust(self.frame), to_crop)
 
     @cached_property
+    def _oval(self) -> np.ndarray:
+        """Distance from the face's middle in units of its outline, ``(h, w)``."""
+        return self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+
+    @cached_property
     def _sure_skin(self) -> np.ndarray:
-        """``(h, w)`` bool: what the picture is exposed for."""
-        return self._skin.skin * self._cover > 0.6
+        """``(h, w)`` bool: what the picture is exposed for, the face where enough of it is seen."""
+        skin = self._skin.skin * self._cover > 0.6
+        face = skin & (self._oval < OUTLINE)
+        return face if face.sum() >= FEW else skin
 
     @cached_property
     def _points(self) -> np.ndarray | None:
@@ -351,7 +359,7 @@ class PhotoRelighter:
     @cached_property
     def _cover(self) -> np.ndarray:
         """The matte, ``(h, w)`` of the window's copy; the face itself is covered."""
-        oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+        oval = self._oval
         if not self._exhaustive and float(oval.max()) < FULL_FACE:
             self._log.skip("matte", "the face fills the picture")
             return np.ones(self.window.size, np.float32)
@@ -371,8 +379,12 @@ class PhotoRelighter:
     def _skin(self) -> SkinColour:
         with self._log.measure("skin", "highlights and shade have their own colour"):
             face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
-            oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
-            return skin_colour(self._scene, face, oval, self._features.eyes_and_lips, self._cover, self.window)
+            return skin_colour(self._scene, face, self._oval, self._features.eyes_and_lips, self._cover, self.window)
+
+    @cached_property
+    def _trust(self) -> np.ndarray:
+        """Where the face is skin that the model understands, on its crop ``(h, w)``."""
+        return self.model.trust(self.window.onto_crop(self._features.not_skin)).astype(np.float32)
 
     @cached_property
     def _ratio(self) -> LightRatio:
@@ -383,8 +395,7 @@ class PhotoRelighter:
             down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
-            trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
-            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
+            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), self._trust, self.model.radiance)
             return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
 
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> tuple[Window, Tensor]:

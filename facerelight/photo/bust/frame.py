@@ -50,9 +50,9 @@ BUST = Grid(4.5, 3.5, -6.5, 24)
 """The whole bust, fine enough for its shape and for soft light."""
 FINE = Grid(4.5, 3.5, -6.5, 64)
 """The same, fine enough for the edges of shadows and for the face."""
-REACH = (4.6, 3.6, 6.2)  # of the window, in units: to each side, above and below the eyes
-FADE = (1.2, 2.0)  # units over which the window ends at its sides and below
-LARGEST_SIDE = 800  # pixels of the window at which maps are made
+REACH = (6.0, 3.6, 11.0)  # of the window, in units: to each side, above and below the eyes
+FADE = (2.4, 5.0)  # units over which the window ends at its sides and below
+LARGEST_SIDE = 960  # pixels of the window at which maps are made
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window, compose
+from facerelight.photo.bust.frame import Window, blur, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
 __all__ = ["person_matte"]
@@ -20,6 +20,8 @@ __all__ = ["person_matte"]
 NETWORK_SIZE = (256, 256)
 RADIUS = 0.10  # of the guided filter, in units
 TIGHT = (0.3, 0.92)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+FLAT, BLANK = 1, 0.01  # grey levels that one colour varies by; share of the picture that is worth a look
+RINGING, ALIKE = 8, 24.0  # pixels around it, and grey levels, within which compression left traces of it
 SEEN = 0.4  # of the face at least, else the network has not seen the person
 EDGE = 1e-4 * 255**2  # variance of colour, in grey levels, that counts as an edge
 
@@ -42,7 +44,32 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
-    return np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
+    return np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1) * (1 - _blank(image, window))
+
+
+def _blank(image: np.ndarray, window: Window) -> np.ndarray:
+    """1 on areas of one colour that reach the picture's border, ``(h, w)`` float32: paper, clipped sky, a cut-out's
+    ground. What has the colour of one above the eyes is no clothes."""
+    square: np.ndarray = np.ones((3, 3), np.uint8)
+    flat = (cv2.dilate(image, square) - cv2.erode(image, square)).max(-1) <= FLAT
+    _, labels, found, _ = cv2.connectedComponentsWithStats(flat.astype(np.uint8))
+    border = np.ones(flat.shape, bool)
+    border[1:-1, 1:-1] = False
+    above = border & (window.places()[1] > 0)
+    large = found[:, cv2.CC_STAT_AREA] > BLANK * flat.size
+    large[0] = False
+    grounds = [image[labels == one].mean(0) for one in np.unique(labels[above]) if large[one]]
+    blank: np.ndarray = np.zeros(flat.shape, np.float32)
+    for one in np.unique(labels[border]):
+        part = labels == one
+        if large[one] and any(np.abs(image[part].mean(0) - ground).max() < FLAT + 1 for ground in grounds):
+            blank[part] = 1
+    if not blank.any():
+        return blank
+    near = cv2.dilate(blank, np.ones((2 * RINGING + 1,) * 2, np.uint8)) > 0
+    colour = blur(image * blank[..., None], RINGING) / np.maximum(blur(blank, RINGING), 1e-3)[..., None]
+    alike = near & (np.abs(image - colour).max(-1) < ALIKE)  # compression rings along its edge
+    return blur(np.maximum(blank, alike), 0.7)
 
 
 @lru_cache(maxsize=1)
