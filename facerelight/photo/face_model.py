@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -20,7 +19,7 @@ from facerelight.config import default_statistics_folder, quality_config
 from facerelight.covariance import prior_mean
 from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
 from facerelight.mle import MaximumLikelihood
-from facerelight.photo.bust.frame import blur, crop_unit
+from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 from facerelight.relighter import METHODS, Method, StatisticalRelighter
 from facerelight.sources import LUMINANCE, LightMixture
@@ -32,7 +31,6 @@ LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
-CORE = .1  # units: a darker core as small as this, in skin, is the photograph's own shadow
 CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
 
 Quality = Literal["draft", "standard", "reference"]
@@ -209,10 +207,7 @@ class FaceModel:
         floor = 0.03 * max(level, 1e-4)
         apart = np.abs(np.log((blur(luminance, 2) + floor) / (blur(expected, 2) + floor)))
         agrees = np.clip((1 - apart) / 0.5, 0, 1)
-        sure = (self.mask.numpy() * lit * agrees).astype(np.float32)
-        side = 2 * round(CORE * crop_unit(self.frame)) + 1
-        whole = cv2.morphologyEx(sure, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
-        return blur(whole * (1 - features.clip(0, 1)), 1)
+        return blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:

@@ -286,7 +286,7 @@ class PhotoRelighter:
             log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
             change = self._change(log_ratio)
             log_ratio = log_ratio + self._exposure(log_ratio, change)
-            held = 1 - HELD * (self._skin.pigment * (1 - self.window.from_crop(self._trust, outside=0.0)))[..., None]
+            held = 1 - HELD * self._skin.pigment[..., None]
             log_ratio = np.where(log_ratio > 0, held * self._rimless[..., None] * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
@@ -382,11 +382,6 @@ class PhotoRelighter:
             return skin_colour(self._scene, face, self._oval, self._features.eyes_and_lips, self._cover, self.window)
 
     @cached_property
-    def _trust(self) -> np.ndarray:
-        """Where the face is skin that the model understands, on its crop ``(h, w)``."""
-        return self.model.trust(self.window.onto_crop(self._features.not_skin)).astype(np.float32)
-
-    @cached_property
     def _ratio(self) -> LightRatio:
         """Built at the first render: a gallery asks for aligned faces alone."""
         cover = self._cover
@@ -395,7 +390,8 @@ class PhotoRelighter:
             down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
-            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), self._trust, self.model.radiance)
+            trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
+            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
             return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
 
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> tuple[Window, Tensor]:
