@@ -102,8 +102,10 @@ class LightRatio:
             + np.clip(level, -LEVEL, LEVEL)
             + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
         )
-        darkest, brightest = np.quantile(inner[self.weight > 0.5], (0.05, 0.95)) + (-DEEPER, BRIGHTER)
-        outer = np.clip(outer, darkest, brightest)  # hair is hardly deeper in shade or brighter lit than the face
+        low, high = np.quantile(inner[self.weight > 0.5], (0.05, 0.95))
+        outer = np.clip(
+            outer, low - DEEPER, high + BRIGHTER
+        )  # hair is hardly deeper in shade or brighter than the face
         outer = np.clip(blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
         return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
 
