@@ -329,7 +329,7 @@ def test_same_person_is_said(
     assert Path("relit.png").exists()
     monkeypatch.setattr(landmarks_module, "find_faces", lambda pixels: [] if pixels[0, 0, 0] == 7 else [face(5, 30)])
     assert run("a.png", photo("sky.png", value=7), "--same-person", "--force") == 1
-    assert "sky.png: found no face" in capsys.readouterr().err
+    assert "found no face in sky.png; leave it out" in capsys.readouterr().err
 
 
 def test_a_picture_that_did_not_change_is_said(

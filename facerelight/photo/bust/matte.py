@@ -15,11 +15,17 @@ import numpy as np
 from facerelight.photo.bust.frame import Window, blur, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
-__all__ = ["person_matte"]
+__all__ = ["ground_behind", "person_matte"]
 
 NETWORK_SIZE = (256, 256)
 RADIUS = 0.10  # of the guided filter, in units
-TIGHT = (0.3, 0.92)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+TIGHT = (0.1, 0.95)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+GROUND = (0.5, 0.1)  # units around in which the ground behind a person is looked for, far and near
+THROUGH = 0.4  # units around in which the ground is looked at
+DIFFERS, VARIES = (
+    (0.05, 0.1),
+    (0.06, 0.1),
+)  # of its level: a colour this near is the ground's; a ground that varies more is not plain
 FLAT, BLANK = 1, 0.01  # grey levels that one colour varies by; share of the picture that is worth a look
 RINGING, ALIKE = 8, 24.0  # pixels around it, and grey levels, within which compression left traces of it
 SEEN = 0.4  # of the face at least, else the network has not seen the person
@@ -44,7 +50,41 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
-    return np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1) * (1 - _blank(image, window))
+    cover = np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1) * (1 - _blank(image, window))
+    return cover * (1 - _seen_through(image, cover, window))
+
+
+def ground_behind(scene: np.ndarray, cover: np.ndarray, unit: float) -> np.ndarray:
+    """The radiance ``(h, w, 3)`` of what is behind a person: an average of the uncovered pixels around, from near where
+    there are some (blur fusion, Forte 2021)."""
+    bare = np.square(1 - cover)[..., None]
+    ground = np.zeros_like(scene)
+    for reach in GROUND:
+        weight = blur(bare, reach * unit).reshape(bare.shape)
+        near = blur(scene * bare, reach * unit) / np.maximum(weight, 1e-4)
+        share = np.clip(weight / 0.02, 0, 1)
+        ground = share * near + (1 - share) * ground
+    return ground.astype(np.float32)
+
+
+def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.ndarray:
+    """1 where hair has the colour of a plain ground behind it, ``(h, w)`` float32: gaps between strands, which are too
+    fine for the network."""
+    x, y = window.places()
+    coded, bare, reach = image.astype(np.float32) / 255, np.square(1 - cover), THROUGH * window.unit
+    weight = blur(bare, reach)
+    mean, square = (
+        blur(values * bare[..., None], reach) / np.maximum(weight, 1e-4)[..., None] for values in (coded, coded**2)
+    )
+    level = ground_behind(coded, cover, window.unit)
+    scale = level.max(-1) + 0.2  # what differs little in the dark differs as little in the light
+    varies = np.sqrt(np.maximum(square - mean**2, 0)).max(-1) / scale
+    differs = np.abs(coded - level).max(-1) / scale
+    differs = np.maximum(differs, blur(differs, 0.02 * window.unit))
+    alike = np.clip((DIFFERS[1] - differs) / (DIFFERS[1] - DIFFERS[0]), 0, 1)
+    plain = np.clip((VARIES[1] - varies) / (VARIES[1] - VARIES[0]), 0, 1)
+    hair = np.clip((np.hypot(x, (y + 0.42) / 1.42) - 1.15) / 0.15, 0, 1) * np.clip((y + 1.6) / 0.4, 0, 1)
+    return alike * plain * hair * np.clip(weight / 0.03, 0, 1)
 
 
 def _blank(image: np.ndarray, window: Window) -> np.ndarray:
