@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from itertools import chain
 from numbers import Real
 from typing import Literal, TypeVar
 
@@ -113,18 +114,16 @@ def relight(
     wanted = [Lamp(azimuth, elevation, size)] if lights is None else _as_sources(lights)
     scene_light(wanted, fill)  # said before the work what is wrong with them
     _check_share("strength", strength)
-    opened = None
     if isinstance(photo, Image.Image):
         from facerelight.photo.files.photograph import from_pillow, to_pillow
 
         opened = from_pillow(photo)
         session = PhotoRelighter(opened.pixels, landmarks, relighter, quality=quality, device=device)
-    else:
-        session = PhotoRelighter(photo, landmarks, relighter, quality=quality, device=device)
-    for line in [*lights_behind(wanted), *session.warnings]:
-        warnings.warn(line, stacklevel=2)
-    relit = session.render(wanted, fill=fill, strength=strength)
-    return relit if opened is None else to_pillow(opened, relit)
+        _warn(lights_behind(wanted), session.warnings)
+        return to_pillow(opened, session.render(wanted, fill=fill, strength=strength))
+    session = PhotoRelighter(photo, landmarks, relighter, quality=quality, device=device)
+    _warn(lights_behind(wanted), session.warnings)
+    return session.render(wanted, fill=fill, strength=strength)
 
 
 class PhotoRelighter:
@@ -426,6 +425,12 @@ def _as_sources(lights: object) -> list[Source]:
     if len(sources) < len(given):
         raise ValueError(f"lights: expected a Lamp, a list of them, or an azimuth in degrees, got {lights!r}")
     return sources
+
+
+def _warn(*lines: list[str]) -> None:
+    """Warnings of the caller's line."""
+    for line in chain(*lines):
+        warnings.warn(line, stacklevel=3)
 
 
 def _check_share(name: str, value: float) -> None:

@@ -18,6 +18,7 @@ from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 __all__ = ["ground_behind", "person_matte"]
 
 NETWORK_SIZE = (256, 256)
+NEAR, AWAY = (4.6, 3.6, 6.2), 0.8  # units to each side, above and below the eyes; over which what is farther takes over
 RADIUS = 0.10  # of the guided filter, in units
 TIGHT = (0.1, 0.95)  # of the filtered cover: what is nearly background is background, so that no light spills on it
 GROUND = (0.5, 0.1)  # units around in which the ground behind a person is looked for, far and near
@@ -50,14 +51,16 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
-    cover = np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1) * (1 - _blank(image, window))
-    return cover * (1 - _seen_through(image, cover, window))
+    cover = np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
+    beyond = np.clip((oval - 1.15) / 0.15, 0, 1)  # the face itself is never the ground
+    cover *= 1 - beyond * _blank(image, window)
+    return (cover * (1 - beyond * _seen_through(image, cover, window))).astype(np.float32)
 
 
 def ground_behind(scene: np.ndarray, cover: np.ndarray, unit: float) -> np.ndarray:
     """The radiance ``(h, w, 3)`` of what is behind a person: an average of the uncovered pixels around, from near where
     there are some (blur fusion, Forte 2021)."""
-    bare = np.square(1 - cover)[..., None]
+    bare = np.clip(1 - 5 * cover, 0, 1)[..., None]
     ground = np.zeros_like(scene)
     for reach in GROUND:
         weight = blur(bare, reach * unit).reshape(bare.shape)
@@ -70,7 +73,6 @@ def ground_behind(scene: np.ndarray, cover: np.ndarray, unit: float) -> np.ndarr
 def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.ndarray:
     """1 where hair has the colour of a plain ground behind it, ``(h, w)`` float32: gaps between strands, which are too
     fine for the network."""
-    x, y = window.places()
     coded, bare, reach = image.astype(np.float32) / 255, np.square(1 - cover), THROUGH * window.unit
     weight = blur(bare, reach)
     mean, square = (
@@ -83,8 +85,8 @@ def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.nd
     differs = np.maximum(differs, blur(differs, 0.02 * window.unit))
     alike = np.clip((DIFFERS[1] - differs) / (DIFFERS[1] - DIFFERS[0]), 0, 1)
     plain = np.clip((VARIES[1] - varies) / (VARIES[1] - VARIES[0]), 0, 1)
-    hair = np.clip((np.hypot(x, (y + 0.42) / 1.42) - 1.15) / 0.15, 0, 1) * np.clip((y + 1.6) / 0.4, 0, 1)
-    return alike * plain * hair * np.clip(weight / 0.03, 0, 1)
+    above_shoulders = np.clip((window.places()[1] + 1.6) / 0.4, 0, 1)
+    return alike * plain * above_shoulders * np.clip(weight / 0.03, 0, 1)
 
 
 def _blank(image: np.ndarray, window: Window) -> np.ndarray:
@@ -118,8 +120,21 @@ def _network() -> cv2.dnn.Net:
 
 
 def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
-    """The network's cover: it sees the bust upright, as it is and mirrored; the mean of both."""
-    to_network = _upright(window)
+    """The network's cover: it sees head and shoulders, and once more, less finely, what goes on beyond them."""
+    x, y = window.places()
+    beyond = max(float(np.abs(x).max()) - NEAR[0], float(y.max()) - NEAR[1], -float(y.min()) - NEAR[2])
+    near = _seen_by_network(image, window, NEAR)
+    if beyond < AWAY:
+        return near
+    inside = np.minimum(NEAR[0] - np.abs(x), np.minimum(NEAR[1] - y, NEAR[2] + y)) / AWAY
+    share = np.clip(inside, 0, 1).astype(np.float32)
+    return share * near + (1 - share) * _seen_by_network(image, window, (np.inf, np.inf, np.inf))
+
+
+def _seen_by_network(image: np.ndarray, window: Window, reach: tuple[float, float, float]) -> np.ndarray:
+    """The network's answer to the window as far as ``reach`` (units to each side, above and below the eyes), seen
+    upright, as it is and mirrored; the mean of both."""
+    to_network = _upright(window, reach)
     upright = cv2.warpAffine(image, to_network, NETWORK_SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
     network, covers = _network(), []
     for mirrored in (False, True):
@@ -137,13 +152,14 @@ def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
     ).clip(0, 1)
 
 
-def _upright(window: Window) -> np.ndarray:
-    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around all of the
-    copy."""
+def _upright(window: Window, reach: tuple[float, float, float]) -> np.ndarray:
+    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around the copy, as far
+    as ``reach``."""
     height, width = window.size
     corners = np.array([(x, y) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     corners = corners @ window.to_bust[:, :2].T + window.to_bust[:, 2]
-    low, high = corners.min(0), corners.max(0)
+    low = np.maximum(corners.min(0), (-reach[0], -reach[2]))
+    high = np.minimum(corners.max(0), (reach[0], reach[1]))
     scale = np.array((NETWORK_SIZE[0] / (high[0] - low[0]), NETWORK_SIZE[1] / (high[1] - low[1])))
     to_network = np.array([[scale[0], 0, -0.5 - low[0] * scale[0]], [0, -scale[1], high[1] * scale[1] - 0.5]])
     return compose(to_network, window.to_bust)
