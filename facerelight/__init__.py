@@ -4,13 +4,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from facerelight.detail import keep_detail
-    from facerelight.illumination import KernelIlluminationEstimator
-    from facerelight.lights import angles_from_light, light_from_angles
+    from facerelight.geometry.lights import angles_from_light, light_from_angles
+    from facerelight.geometry.sources import Lamp, LightMixture
+    from facerelight.inference.detail import keep_detail
+    from facerelight.inference.relighter import StatisticalRelighter
+    from facerelight.light.kernel import KernelIlluminationEstimator
+    from facerelight.model.statistics import FaceStatistics
     from facerelight.photo import PhotoRelighter, relight
-    from facerelight.relighter import StatisticalRelighter
-    from facerelight.sources import Lamp, LightMixture
-    from facerelight.statistics import FaceStatistics
 
 __all__ = [
     "FaceStatistics",
@@ -26,15 +26,15 @@ __all__ = [
 ]
 
 _HOMES = {
-    "FaceStatistics": "statistics",
-    "KernelIlluminationEstimator": "illumination",
-    "Lamp": "sources",
-    "LightMixture": "sources",
+    "FaceStatistics": "model.statistics",
+    "KernelIlluminationEstimator": "light.kernel",
+    "Lamp": "geometry.sources",
+    "LightMixture": "geometry.sources",
     "PhotoRelighter": "photo",
-    "StatisticalRelighter": "relighter",
-    "angles_from_light": "lights",
-    "keep_detail": "detail",
-    "light_from_angles": "lights",
+    "StatisticalRelighter": "inference.relighter",
+    "angles_from_light": "geometry.lights",
+    "keep_detail": "inference.detail",
+    "light_from_angles": "geometry.lights",
     "relight": "photo",
 }
 

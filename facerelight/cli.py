@@ -120,7 +120,7 @@ def _recognize_parser() -> ArgumentParser:
 
 def _train(argv: list[str]) -> int:
     from facerelight.config import default_statistics_folder
-    from facerelight.training import train
+    from facerelight.train.run import train
 
     arguments = _train_parser().parse_args(argv)
     config = _config(arguments)
@@ -149,7 +149,7 @@ def _config(arguments: jsonargparse.Namespace) -> TrainConfig:
 
     from facerelight.bootstrap.domain import Domain
     from facerelight.config import TrainConfig
-    from facerelight.statistics import FitOptions
+    from facerelight.model.statistics import FitOptions
 
     values = {field.name: arguments[field.name] for field in fields(TrainConfig)}
     for name, kind in (("fit", FitOptions), ("domain", Domain)):
@@ -168,9 +168,9 @@ def _relight(argv: list[str]) -> int:
 
 def _recognize(argv: list[str]) -> int:
     arguments = _recognize_parser().parse_args(argv)
+    from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.files.disk import find_people
     from facerelight.recognition.gallery import Gallery
-    from facerelight.relighter import StatisticalRelighter
 
     if not arguments.enroll and not arguments.photos:
         raise ValueError("recognize: expected --enroll FOLDER, --photos FILE ..., or both")
@@ -200,7 +200,7 @@ def _statistics_folder(given: str | None, quality: str) -> Path:
     if given:
         return Path(given)
     from facerelight.config import quality_config
-    from facerelight.training import trained_folder
+    from facerelight.train.run import trained_folder
 
     return trained_folder(quality_config(quality))
 

@@ -13,11 +13,11 @@ import torch
 from platformdirs import user_cache_path
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
 from facerelight.bootstrap.domain import Domain
-from facerelight.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
-from facerelight.statistics import FitOptions
-from facerelight.statistics_file import FORMAT_VERSION
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
+from facerelight.model.file import FORMAT_VERSION
+from facerelight.model.statistics import FitOptions
 
 __all__ = ["DEFAULT_CONFIG", "QUALITIES", "TrainConfig", "cache_folder", "default_statistics_folder", "quality_config"]
 

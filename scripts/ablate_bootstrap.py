@@ -15,16 +15,16 @@ from pathlib import Path
 
 import torch
 
-from facerelight.bootstrap.dataset import FaceImages, load_yale
 from facerelight.bootstrap.domain import Domain
 from facerelight.bootstrap.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angle_pairs
-from facerelight.recognition.evaluation import evaluate_galleries, training_lights
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
+from facerelight.evaluation.datasets import FaceImages, load_yale
+from facerelight.evaluation.recognition import evaluate_galleries, training_lights
+from facerelight.geometry.lights import angle_pairs
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.run import make_dataset
 
 PAINT = {
     "brows, eyes, lips": ("brows", "lips", "sockets", "iris"),

@@ -23,18 +23,18 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 from trade_off_parts import peak_memory_mb, poses, recognition, rendering
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import DEFAULT_CONFIG, QUALITIES, TrainConfig
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import even_hemisphere, light_from_angles, nearest_lights
-from facerelight.mixture import draw_mixture, histogram_mode
-from facerelight.regions import GroupRelighter, make_regions, random_groups
-from facerelight.registration import align_people
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
-from facerelight.training import make_dataset
-from facerelight.views import LightViews
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.geometry.lights import even_hemisphere, light_from_angles, nearest_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.numerics.mixture import draw_mixture, histogram_mode
+from facerelight.train.run import make_dataset
+from facerelight.viewpoint.regions import GroupRelighter, make_regions, random_groups
+from facerelight.viewpoint.views import LightViews
 
 FIELDS = [
     "knob",

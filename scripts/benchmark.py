@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import even_hemisphere
+from facerelight.geometry.lights import even_hemisphere
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.subspaces import Subspace
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
 
 
 def paired(ours: Callable[[], object], bare: Callable[[], object], repeats: int = 15) -> tuple[float, float, float]:
@@ -139,7 +139,7 @@ def photo(learned: FaceStatistics) -> dict[str, float]:
     """A 512 x 512 colour photo end to end (landmarks given), and loading the default statistics."""
     from facerelight.config import TrainConfig
     from facerelight.photo import PhotoRelighter
-    from facerelight.training import trained_folder
+    from facerelight.train.run import trained_folder
 
     folder = trained_folder(TrainConfig())
     loading = paired(lambda: StatisticalRelighter.from_pretrained(folder), lambda: None)[0]

@@ -15,11 +15,11 @@ from torch import Tensor
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.lights import angle_pairs
-from facerelight.statistics import FaceStatistics, PixelStatistics
-from facerelight.training import rendered_statistics
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.geometry.lights import angle_pairs
+from facerelight.model.statistics import FaceStatistics, PixelStatistics
+from facerelight.train.run import rendered_statistics
 
 
 def correlation(pixel: PixelStatistics) -> Tensor:

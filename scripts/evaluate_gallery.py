@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from kornia.color import linear_rgb_to_rgb
 
-from facerelight.alignment import CANONICAL_LANDMARKS
-from facerelight.bootstrap.dataset import FaceImages, load_yale, to_grid
 from facerelight.config import DEFAULT_CONFIG
+from facerelight.evaluation.datasets import FaceImages, load_yale, to_grid
+from facerelight.geometry.alignment import CANONICAL_LANDMARKS
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter
 from facerelight.recognition.gallery import Gallery
-from facerelight.relighter import StatisticalRelighter
-from facerelight.training import trained_folder
+from facerelight.train.run import trained_folder
 
 BORDER = 60  # pixels around the crop of 192 x 168
 ENROLLED = ((0, 0), (-35, 15), (60, 20), (0, 45), (-25, 0))

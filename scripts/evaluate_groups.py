@@ -19,13 +19,13 @@ from torch.utils.data import DataLoader
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.gaussian import NumericalWarning
-from facerelight.lights import light_from_angles
-from facerelight.regions import GroupRelighter, GroupRelit, group_by_correlation, make_regions, random_groups
-from facerelight.shrinkage import KINDS
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
-from facerelight.views import LightViews
+from facerelight.geometry.lights import light_from_angles
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.gaussian import NumericalWarning
+from facerelight.numerics.shrinkage import KINDS
+from facerelight.train.run import make_dataset
+from facerelight.viewpoint.regions import GroupRelighter, GroupRelit, group_by_correlation, make_regions, random_groups
+from facerelight.viewpoint.views import LightViews
 
 SOURCE, TARGET = (70.0, 0.0), (0.0, 0.0)
 PRINTED = "as printed"  # (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's covariance at the output light; it must be C_v1

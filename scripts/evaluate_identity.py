@@ -16,13 +16,13 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.lights import even_hemisphere, light_from_angles, nearest_lights
-from facerelight.registration import align_people
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
-from facerelight.training import make_dataset
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.geometry.lights import even_hemisphere, light_from_angles, nearest_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.train.run import make_dataset
 
 LEVELS = {"50": 0.6745, "80": 1.2816, "95": 1.96}
 

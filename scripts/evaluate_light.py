@@ -15,17 +15,17 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from facerelight.alignment import CropFrame
-from facerelight.bootstrap.dataset import load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import angular_distance
-from facerelight.recognition.evaluation import pie_as_canonical
-from facerelight.registration import align_people
-from facerelight.relighter import LightEstimator
-from facerelight.statistics import FaceStatistics, FitOptions
-from facerelight.training import make_dataset
+from facerelight.evaluation.datasets import load_pie, load_yale, to_grid
+from facerelight.evaluation.recognition import pie_as_canonical
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import angular_distance
+from facerelight.light.estimator import LightEstimator
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.train.run import make_dataset
 
 DRAWS = 64
 

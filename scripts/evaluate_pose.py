@@ -16,11 +16,11 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.kernels import kernel_weights
-from facerelight.lights import light_from_angles
-from facerelight.pose import BootstrapViews, View, ViewRelighter
-from facerelight.views import ViewFields
-from facerelight.visualize import contact_sheet
+from facerelight.evaluation.visualize import contact_sheet
+from facerelight.geometry.lights import light_from_angles
+from facerelight.numerics.kernels import kernel_weights
+from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
+from facerelight.viewpoint.views import ViewFields
 
 GRID = [View(float(a), float(e)) for a in np.linspace(-90, 90, 15) for e in (-10, 0, 20)]  # the thesis's 45 poses
 INPUTS = [View(-30.0), View(30.0), View()]

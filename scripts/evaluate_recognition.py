@@ -13,17 +13,18 @@ from pathlib import Path
 
 import torch
 
-from facerelight.alignment import CropFrame
-from facerelight.bootstrap.dataset import load_pie, load_yale, to_grid
 from facerelight.config import TrainConfig
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.recognition.evaluation import Enrolment, Tally, evaluate_galleries, pie_as_canonical, training_lights
-from facerelight.recognition.methods import BASELINES, CLASSIFIERS
+from facerelight.evaluation.datasets import load_pie, load_yale, to_grid
+from facerelight.evaluation.recognition import Enrolment, Tally, evaluate_galleries, pie_as_canonical, training_lights
+from facerelight.geometry.alignment import CropFrame
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.estimator import LightEstimator
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
 from facerelight.recognition.photometric import NORMALIZERS
-from facerelight.registration import align_people
-from facerelight.relighter import LightEstimator, StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
+from facerelight.recognition.registry import BASELINES, CLASSIFIERS
 
 
 def learn(
@@ -40,7 +41,7 @@ def learn(
 
 
 def rendered(args: argparse.Namespace) -> StatisticalRelighter:
-    from facerelight.training import trained_folder
+    from facerelight.train.run import trained_folder
 
     fit = FitOptions(face_rank=40, brightness=True)
     config = TrainConfig(
@@ -89,7 +90,7 @@ def main() -> int:
         "--classifier",
         nargs="+",
         default=list(CLASSIFIERS),
-        help="names of facerelight.recognition.methods, without normalisation",
+        help="names of facerelight.recognition.registry, without normalisation",
     )
     parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
     parser.add_argument("--photometric", nargs="+", choices=list(NORMALIZERS), default=["none", "tan_triggs", "weber"])

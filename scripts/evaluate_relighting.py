@@ -11,14 +11,14 @@ from pathlib import Path
 
 import torch
 
-from facerelight.adaptation import Person, adapt
-from facerelight.bootstrap.dataset import load_yale
 from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
-from facerelight.lights import angle_pairs
-from facerelight.registration import align_people
-from facerelight.statistics import FaceStatistics, FitOptions
+from facerelight.evaluation.datasets import load_yale
+from facerelight.geometry.lights import angle_pairs
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.train.adapt import Person, adapt
 
 
 def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Domain, options: FitOptions) -> TrainConfig:
@@ -102,7 +102,7 @@ def main() -> int:
         if args.statistics == "real":
             statistics = FaceStatistics.fit(images, lights, valid, options)
         else:
-            from facerelight.training import rendered_statistics, trained_folder
+            from facerelight.train.run import rendered_statistics, trained_folder
 
             config = rendered_config(args, lights, next(domains), options)
             if args.statistics == "synthetic":

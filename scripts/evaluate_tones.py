@@ -8,12 +8,12 @@ from pathlib import Path
 
 import torch
 
-from facerelight.bootstrap.dataset import FaceImages, load_yale, to_grid
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angle_pairs
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
+from facerelight.evaluation.datasets import FaceImages, load_yale, to_grid
+from facerelight.geometry.lights import angle_pairs
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.run import make_dataset
 
 GROUPS = 4
 

@@ -15,9 +15,9 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.pose import BootstrapViews, View, ViewRelighter
 from facerelight.recognition.classifiers import IndividualPCAClassifier, NearestNeighborClassifier
 from facerelight.recognition.photometric import make_normalizer
+from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 
 LIGHTS = [(0.0, 0.0), (45.0, 0.0), (-45.0, 0.0), (0.0, 40.0), (0.0, -35.0), (70.0, 10.0), (-70.0, 10.0)]
 POSES = [0.0, 20.0, -20.0, 40.0, -40.0]

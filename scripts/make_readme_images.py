@@ -8,14 +8,14 @@ from pathlib import Path
 
 import torch
 
-from facerelight.alignment import CropFrame
-from facerelight.bootstrap.generate import BootstrapDataset
+from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.heads import MakeHumanHeads
-from facerelight.lights import light_from_angles
+from facerelight.evaluation.visualize import contact_sheet, needle_map
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import light_from_angles
+from facerelight.geometry.sources import Lamp
 from facerelight.photo import PhotoRelighter
 from facerelight.photo.files.disk import read_photo
-from facerelight.sources import Lamp
-from facerelight.visualize import contact_sheet, needle_map
 
 SIZES = {"soft, 20 degrees": 20.0, "hard, 1 degree": 1.0}
 FILL = 0.08

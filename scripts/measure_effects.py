@@ -10,11 +10,11 @@ from collections import Counter
 
 import torch
 
-from facerelight.bootstrap.generate import BootstrapDataset
+from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.bootstrap.scene import EFFECTS
 from facerelight.config import DEFAULT_CONFIG
-from facerelight.lights import even_hemisphere
+from facerelight.geometry.lights import even_hemisphere
 
 
 def main() -> None:

@@ -13,12 +13,12 @@ from pathlib import Path
 import torch
 from kornia.geometry.transform import resize
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.evaluation import SOURCES
-from facerelight.lights import light_from_angles, nearest_lights
-from facerelight.registration import align_people, deform, register, undeform
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.geometry.lights import light_from_angles, nearest_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.registration import align_people, deform, register, undeform
+from facerelight.model.statistics import FaceStatistics, FitOptions
 
 
 def bands(images: torch.Tensor, levels: int) -> list[torch.Tensor]:

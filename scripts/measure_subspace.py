@@ -13,15 +13,15 @@ from pathlib import Path
 
 import torch
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.evaluation import SOURCES
-from facerelight.lights import light_from_angles, nearest_lights
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.geometry.lights import light_from_angles, nearest_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics, FitOptions
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments
 from facerelight.recognition.subspaces import principal_angles, principal_subspace
-from facerelight.registration import align_people
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
 
 DIMENSION = 9
 

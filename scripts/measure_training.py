@@ -21,8 +21,8 @@ import torch
 from facerelight.bootstrap import scene
 from facerelight.bootstrap.scene import plan_effects, shade
 from facerelight.config import TrainConfig
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.run import make_dataset
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from facerelight.covariance import MEASUREMENT, observed
-from facerelight.gaussian import NumericalWarning, condition_gaussian
+from facerelight.model.covariance import MEASUREMENT, observed
+from facerelight.numerics.gaussian import NumericalWarning, condition_gaussian
 
 
 def covariance(separation: float) -> mpmath.matrix:

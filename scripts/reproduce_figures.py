@@ -17,16 +17,16 @@ from torch import Tensor
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import light_from_angles
-from facerelight.mixture import draw_mixture, histogram_mode
-from facerelight.pose import BootstrapViews, View, ViewRelighter
-from facerelight.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
-from facerelight.views import LightViews
-from facerelight.visualize import contact_sheet, needle_map
+from facerelight.evaluation.visualize import contact_sheet, needle_map
+from facerelight.geometry.lights import light_from_angles
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.mixture import draw_mixture, histogram_mode
+from facerelight.train.run import make_dataset
+from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
+from facerelight.viewpoint.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
+from facerelight.viewpoint.views import LightViews
 
 STRANGERS = 3
 

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import torch
 
-from facerelight.bootstrap.dataset import FaceImages, load_yale
 from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
-from facerelight.lights import angle_pairs
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
+from facerelight.evaluation.datasets import FaceImages, load_yale
+from facerelight.geometry.lights import angle_pairs
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.run import make_dataset
 
 PLAIN = Domain(specular=0.028, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
 KNOBS: dict[str, tuple[float, ...]] = {

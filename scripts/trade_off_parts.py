@@ -11,14 +11,14 @@ import torch
 from evaluate_pose import INPUTS, TARGETS, GridViews
 
 from facerelight.config import DEFAULT_CONFIG, TrainConfig
-from facerelight.lights import angle_grid, even_hemisphere, hemisphere_quadrature
-from facerelight.pose import BootstrapViews, ViewRelighter
+from facerelight.geometry.lights import angle_grid, even_hemisphere, hemisphere_quadrature
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import direct_subspace, light_moments, synthesize
 from facerelight.recognition.photometric import make_normalizer
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
-from facerelight.training import make_dataset
+from facerelight.train.run import make_dataset
+from facerelight.viewpoint.pose import BootstrapViews, ViewRelighter
 
 
 def peak_memory_mb(run: Callable[[], object]) -> float:

@@ -2,7 +2,7 @@
 
     python scripts/train_statistics.py --config configs/paper.yaml --output statistics/paper
 
-``facerelight train`` takes the same flags; both call :func:`facerelight.training.train`.
+``facerelight train`` takes the same flags; both call :func:`facerelight.train.run.train`.
 """
 
 import sys

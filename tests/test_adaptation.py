@@ -7,12 +7,12 @@ import pytest
 import torch
 from PIL import Image
 
-from facerelight.adaptation import Person, adapt, read_people
-from facerelight.alignment import CropFrame
 from facerelight.cli import main
-from facerelight.lights import light_from_angles
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import light_from_angles
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.adapt import Person, adapt, read_people
 
 
 def person(images: torch.Tensor, lights: torch.Tensor) -> Person:

@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facerelight.alignment import CropFrame, fit_similarity, invert_similarity, warp_from_crop, warp_to_crop
+from facerelight.geometry.alignment import CropFrame, fit_similarity, invert_similarity, warp_from_crop, warp_to_crop
 
 
 @given(st.floats(0.2, 5), st.floats(-3, 3), st.floats(-50, 50), st.floats(-50, 50))

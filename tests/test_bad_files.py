@@ -20,8 +20,8 @@ from PIL import Image
 from safetensors.torch import load_file, save_file
 
 from facerelight.cli import main
+from facerelight.model.statistics import FaceStatistics
 from facerelight.photo.files.disk import read_photo
-from facerelight.statistics import FaceStatistics
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
 MARKS = "20,24,44,24,32,44"

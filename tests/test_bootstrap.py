@@ -8,14 +8,14 @@ import pytest
 import torch
 import trimesh
 
-from facerelight.alignment import CropFrame
+from facerelight.bootstrap.dataset import BootstrapDataset, open_renderer
 from facerelight.bootstrap.domain import Domain, Material
-from facerelight.bootstrap.generate import BootstrapDataset, open_renderer
 from facerelight.bootstrap.heads import PIVOT, Head, MakeHumanHeads, MeshFolder, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.scene import EFFECTS, _highlight, _highlight_reach, plan_effects, shade, view_surface
 from facerelight.bootstrap.skin import Look
-from facerelight.lights import even_hemisphere, light_from_angles
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import even_hemisphere, light_from_angles
 
 FRAME = CropFrame(64, 56, 0.25)
 

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from facerelight.cross_validation import choose_face_options
-from facerelight.statistics import FitOptions
+from facerelight.model.statistics import FitOptions
+from facerelight.train.cross_validation import choose_face_options
 
 
 def test_more_than_one_loading_is_worth_having(people: torch.Tensor, lights: torch.Tensor) -> None:

@@ -3,8 +3,8 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from facerelight.detail import DARK, SCALE, keep_detail
-from facerelight.filters import gaussian_blur
+from facerelight.inference.detail import DARK, SCALE, keep_detail
+from facerelight.numerics.blur import gaussian_blur
 
 
 def patterns(*shape: int, seed: int = 0) -> torch.Tensor:

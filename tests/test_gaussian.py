@@ -3,14 +3,14 @@ import warnings
 import pytest
 import torch
 
-from facerelight.gaussian import (
+from facerelight.numerics.gaussian import (
     NotPositiveDefiniteError,
     NumericalWarning,
     condition_gaussian,
     correlation_factor,
     safe_cholesky,
 )
-from facerelight.kernels import kernel_weights, neighbour_widths
+from facerelight.numerics.kernels import kernel_weights, neighbour_widths
 
 
 def test_jitter_goes_to_the_failing_member_alone() -> None:

@@ -4,11 +4,11 @@ import pytest
 import torch
 from conftest import shaded_people
 
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import angular_distance, even_hemisphere
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import angular_distance, even_hemisphere
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 
 
 @pytest.fixture(scope="module")

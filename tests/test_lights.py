@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facerelight.lights import (
+from facerelight.geometry.lights import (
     angles_from_light,
     angular_distance,
     even_hemisphere,

@@ -5,14 +5,14 @@ import pytest
 import reference
 import torch
 
-from facerelight.covariance import deviation_covariance, image_covariance, light_terms, prior_mean
-from facerelight.gaussian import SequentialConditional, condition_gaussian
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import light_from_angles
-from facerelight.mixture import draw_mixture, histogram_mode, mixture_mode
-from facerelight.mle import MaximumLikelihood
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import light_from_angles
+from facerelight.inference.maximum_likelihood import MaximumLikelihood
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.covariance import deviation_covariance, image_covariance, light_terms, prior_mean
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.gaussian import SequentialConditional, condition_gaussian
+from facerelight.numerics.mixture import draw_mixture, histogram_mode, mixture_mode
 
 
 def draw_images(

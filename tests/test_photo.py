@@ -7,11 +7,11 @@ import torch
 from PIL import Image
 
 from facerelight.cli import main
-from facerelight.illumination import fit_soft_light
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.soft import fit_soft_light
 from facerelight.photo import PhotoRelighter, relight
 from facerelight.photo.faces.landmarks import LandmarksNotFoundError, find_landmarks
 from facerelight.photo.files.disk import read_photo, write_photo
-from facerelight.relighter import StatisticalRelighter
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
 MARKS = ((202.0, 101.0), (247.0, 103.0), (221.0, 144.0))

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from facerelight.bootstrap.heads import MakeHumanHeads, rotate
-from facerelight.pose import BootstrapViews, View, ViewRelighter
+from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 
 INPUTS = [View(-30.0), View(30.0), View()]
 

@@ -12,10 +12,10 @@ from conftest import SIZE, shaded_people
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import even_hemisphere
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import even_hemisphere
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 
 MIRROR = torch.tensor([-1.0, 1.0, 1.0])
 
@@ -128,7 +128,7 @@ def test_a_gpu_gives_the_same(relighter: StatisticalRelighter, people: torch.Ten
 
 
 def test_import_is_silent_and_starts_no_renderer() -> None:
-    code = "import sys, facerelight, facerelight.cli, facerelight.pose; print([m for m in ('pyrender', 'trimesh', 'scipy') if m in sys.modules])"
+    code = "import sys, facerelight, facerelight.cli, facerelight.viewpoint.pose; print([m for m in ('pyrender', 'trimesh', 'scipy') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     assert done.stdout.strip() == "[]"

@@ -6,9 +6,10 @@ import torch
 from scipy.stats import multivariate_normal
 from sklearn.decomposition import PCA
 
-from facerelight.alignment import CropFrame
-from facerelight.lights import even_hemisphere
-from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures, find_model
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import even_hemisphere
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import (
     GlobalPCAClassifier,
@@ -17,10 +18,9 @@ from facerelight.recognition.classifiers import (
     SumClassifier,
 )
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
+from facerelight.recognition.opencv import OpenCVClassifier, SFaceFeatures, find_model
 from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
 
 CLASSIFIERS = [
     NearestNeighborClassifier,

@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from facerelight.bootstrap.dataset import FaceImages
-from facerelight.recognition.evaluation import Enrolment, evaluate_galleries, training_lights
+from facerelight.evaluation.datasets import FaceImages
+from facerelight.evaluation.recognition import Enrolment, evaluate_galleries, training_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
-from facerelight.recognition.methods import GalleryImages, fit_classifier, is_pairwise
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.recognition.registry import GalleryImages, fit_classifier, is_pairwise
 
 NAMES = [
     "nearest_neighbor",

@@ -6,13 +6,19 @@ import torch
 from sklearn.covariance import ledoit_wolf as sklearn_ledoit_wolf
 from sklearn.covariance import oas as sklearn_oas
 
-from facerelight.lights import light_from_angles
-from facerelight.pose import BootstrapViews, View
-from facerelight.regions import GroupRelighter, correlation_table, group_by_correlation, make_regions, random_groups
-from facerelight.relighter import StatisticalRelighter
-from facerelight.shrinkage import block_shrinkage, ledoit_wolf, oas, sample_covariance, shrunk_covariance
-from facerelight.statistics import FaceStatistics
-from facerelight.views import LightViews
+from facerelight.geometry.lights import light_from_angles
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.shrinkage import block_shrinkage, ledoit_wolf, oas, sample_covariance, shrunk_covariance
+from facerelight.viewpoint.pose import BootstrapViews, View
+from facerelight.viewpoint.regions import (
+    GroupRelighter,
+    correlation_table,
+    group_by_correlation,
+    make_regions,
+    random_groups,
+)
+from facerelight.viewpoint.views import LightViews
 
 PIXELS = 24 * 21
 

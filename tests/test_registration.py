@@ -4,9 +4,9 @@ import pytest
 import torch
 from conftest import shaded_people
 
-from facerelight.registration import SPREAD, align_people, congeal, deform, register, undeform
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.registration import SPREAD, align_people, congeal, deform, register, undeform
+from facerelight.model.statistics import FaceStatistics
 
 KNOWN = torch.tensor([0.02, -0.015, 0.03, 0.02, -0.03, 0.02])
 

@@ -5,11 +5,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facerelight.covariance import image_covariance, light_terms
-from facerelight.illumination import KernelIlluminationEstimator, quasi_normal
-from facerelight.lights import angular_distance
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import angular_distance
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.covariance import image_covariance, light_terms
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.sampling import quasi_normal
 
 MODELS = ["pixel", "face"]
 
@@ -46,7 +47,7 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
     images = small[12:13, :2].double() if len(small) > 12 else torch.rand(1, 2, *small.shape[2:], dtype=torch.float64)
     out = StatisticalRelighter(statistics, "face")(images, target, source_lights=sources)
 
-    from facerelight.covariance import loadings_at, prior_mean
+    from facerelight.model.covariance import loadings_at, prior_mean
 
     every = torch.cat((sources, target))
     terms = light_terms(statistics, statistics.face.residual, every, statistics.face)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.lights import angles_from_light, light_from_angles
-from facerelight.sources import FILL_STRENGTH, LUMINANCE, Lamp, LightMixture, fill_light, scene_light
+from facerelight.geometry.lights import angles_from_light, light_from_angles
+from facerelight.geometry.sources import FILL_STRENGTH, LUMINANCE, Lamp, LightMixture, fill_light, scene_light
 
 POINTS = {0: 1, 1: 1, 5: 7, 15: 13, 40: 24, 90: 24}
 

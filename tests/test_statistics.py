@@ -4,9 +4,9 @@ import reference
 import torch
 from safetensors.torch import save_file
 
-from facerelight.lights import thesis_grid
-from facerelight.statistics import FaceStatistics
-from facerelight.store import ImageStore
+from facerelight.geometry.lights import thesis_grid
+from facerelight.model.image_store import ImageStore
+from facerelight.model.statistics import FaceStatistics
 
 
 def test_fit_matches_slow_reference(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
@@ -60,7 +60,7 @@ def test_missing_images_are_filled_from_the_same_person(
 
 def test_rank_zero_face_is_the_pixel_model(people: torch.Tensor, lights: torch.Tensor) -> None:
     """Left-out residuals at rank 0 are the centred fields, in scale too."""
-    from facerelight.subjects import face_operators, gather_grams, total_gram
+    from facerelight.model.subjects import face_operators, gather_grams, total_gram
 
     store = ImageStore()
     for subject in people[:12]:
@@ -116,7 +116,7 @@ def test_repeated_poles_are_merged() -> None:
 
 def test_brightness_is_taken_out_and_put_back(people: torch.Tensor, lights: torch.Tensor) -> None:
     """People who differ by a factor alone leave nothing else to learn, and a new one is relit without error."""
-    from facerelight.relighter import StatisticalRelighter
+    from facerelight.inference.relighter import StatisticalRelighter
 
     factors = torch.linspace(0.6, 1.6, 8)
     images = factors[:, None, None, None] * people[:1] * 0.8

@@ -11,7 +11,7 @@ import torch
 
 from facerelight.cli import main, read_config
 from facerelight.config import QUALITIES, quality_config
-from facerelight.statistics import FaceStatistics
+from facerelight.model.statistics import FaceStatistics
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
 

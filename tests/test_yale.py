@@ -7,12 +7,12 @@ import pytest
 import torch
 from PIL import Image
 
-from facerelight.bootstrap.dataset import load_yale, to_grid
 from facerelight.evaluation import evaluate_folds, held_out_lights, relighting_errors
-from facerelight.recognition.evaluation import Enrolment, evaluate_galleries, training_lights
-from facerelight.registration import align_people
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.recognition import Enrolment, evaluate_galleries, training_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.registration import align_people
+from facerelight.model.statistics import FaceStatistics
 
 
 def test_public_folder_layout(tmp_path) -> None:

@@ -13,8 +13,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import trimesh
 
-from facerelight.alignment import CropFrame
 from facerelight.bootstrap.domain import Domain
+from facerelight.geometry.alignment import CropFrame
 
 __all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate", "stand"]
 

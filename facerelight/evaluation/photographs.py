@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity, invert_similarity, warp_to_crop
 from facerelight.evaluation.scan import decode_srgb
+from facerelight.geometry.alignment import CropFrame, fit_similarity, invert_similarity, warp_to_crop
+from facerelight.geometry.sources import LUMINANCE
 from facerelight.photo.face_mask import face_mask
-from facerelight.sources import LUMINANCE
 
 __all__ = ["MEASURES", "photograph_measures"]
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from facerelight.evaluation.scan import HEIGHT, WIDTH, ScannedHead, decode_srgb, encode_srgb, lamp_points
-from facerelight.sources import LUMINANCE, Lamp
+from facerelight.geometry.sources import LUMINANCE, Lamp
 
 __all__ = [
     "BARE",

@@ -10,12 +10,12 @@ from kornia.filters import gaussian_blur2d
 from kornia.metrics import ssim
 from torch import Tensor
 
-from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.detail import keep_detail
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import angular_distance
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.evaluation.datasets import FaceImages, to_grid
+from facerelight.geometry.lights import angular_distance
+from facerelight.inference.detail import keep_detail
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 
 __all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights", "relighting_errors"]
 
@@ -99,7 +99,7 @@ def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str, 
         statistics: of other people, or of rendered heads.
         faces: the data.
         case: "front" or "side", the input's light.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.inference.detail.keep_detail`.
     """
     images, valid = to_grid(faces)
     source = _light_index(faces, SOURCES[case])
@@ -137,7 +137,7 @@ def evaluate_folds(
         new_lights: learn without the lights that are then asked for.
         estimated: estimate the input's light instead of taking its label.
         register: find where each face lies beside the model's.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.inference.detail.keep_detail`.
 
     Returns:
         Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light estimation.

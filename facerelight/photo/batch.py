@@ -15,10 +15,10 @@ from facerelight.photo.scenes import Scene, scene_paths
 from facerelight.photo.stages import Stage, StageLog
 
 if TYPE_CHECKING:
+    from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.faces.landmarks import Face
     from facerelight.photo.files.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
-    from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["Job", "Request", "choose_faces", "find_jobs", "relight_photo"]
 
@@ -175,7 +175,7 @@ def _relight(
     relighter: StatisticalRelighter,
 ) -> dict[str, Any]:
     """Write every scene, the faces one after the other in the same picture, and the map; report on each face."""
-    from facerelight.lights import light_from_angles
+    from facerelight.geometry.lights import light_from_angles
     from facerelight.photo.session import PhotoRelighter
 
     light = None if request.source_light is None else light_from_angles(*request.source_light)

@@ -14,15 +14,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
 from facerelight.config import default_statistics_folder, quality_config
-from facerelight.covariance import prior_mean
-from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
-from facerelight.mle import MaximumLikelihood
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import LUMINANCE, LightMixture
+from facerelight.inference.maximum_likelihood import MaximumLikelihood
+from facerelight.inference.methods import RELIGHTING_METHODS, Method
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.soft import fit_soft_light
+from facerelight.model.covariance import prior_mean
+from facerelight.numerics.sampling import quasi_normal
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
-from facerelight.relighter import METHODS, Method, StatisticalRelighter
-from facerelight.sources import LUMINANCE, LightMixture
 
 __all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
 
@@ -74,7 +77,7 @@ class FaceModel:
         relighter: the model.
         crops: ``(3, h, w)`` scene radiance of the photograph's face, and of further photographs of the same person.
         source_light: ``(3,)`` where the first photograph's light is known; None estimates it.
-        method: "expected", "map" or "mle", see :class:`facerelight.relighter.StatisticalRelighter`.
+        method: "expected", "map" or "mle", see :class:`facerelight.inference.relighter.StatisticalRelighter`.
         rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that
             looks ahead under the lamp turned back, and so the model sees all lights from the head; None: it looks
             ahead.
@@ -91,8 +94,8 @@ class FaceModel:
         method: Method = "expected",
         rotation: np.ndarray | None = None,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if method not in RELIGHTING_METHODS:
+            raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
         self.relighter, self.frame = relighter, crop_frame(relighter)
         self.lights = relighter.statistics.lights.cpu()  # pictures stay on the CPU, whatever device the model is on
         self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import LightMixture
 from facerelight.photo.bust.frame import BUST, FINE, between, blur, crop_onto
 from facerelight.photo.bust.shading import BustShading
-from facerelight.sources import LightMixture
 
 __all__ = ["FaceEvidence", "LightRatio"]
 

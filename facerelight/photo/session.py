@@ -19,8 +19,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from facerelight.alignment import fit_similarity
-from facerelight.lights import angles_from_light, light_from_angles
+from facerelight.geometry.alignment import fit_similarity
+from facerelight.geometry.lights import angles_from_light, light_from_angles
+from facerelight.geometry.sources import Lamp, LightMixture, scene_light
+from facerelight.inference.methods import Method
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
 from facerelight.photo.bust.matte import person_matte
 from facerelight.photo.bust.shading import BustShading
@@ -36,8 +39,6 @@ from facerelight.photo.files.pixels import as_rgb, like, small_copy
 from facerelight.photo.ratio import SAME_LIGHT, FaceEvidence, LightRatio
 from facerelight.photo.skin import skin_colour
 from facerelight.photo.stages import Stage, StageLog
-from facerelight.relighter import Method, StatisticalRelighter
-from facerelight.sources import Lamp, LightMixture, scene_light
 
 __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 

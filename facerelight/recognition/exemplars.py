@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from facerelight.lights import angle_grid, even_hemisphere, hemisphere_quadrature
-from facerelight.posterior import PersonPosterior, Posterior
+from facerelight.geometry.lights import angle_grid, even_hemisphere, hemisphere_quadrature
+from facerelight.inference.posterior import PersonPosterior, Posterior
 from facerelight.recognition.subspaces import Subspace
 
 __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]

@@ -8,7 +8,7 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from facerelight.filters import gaussian_blur
+from facerelight.numerics.blur import gaussian_blur
 
 __all__ = ["NORMALIZERS", "Inside", "TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
 

@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 import torch
 
-from facerelight.alignment import CropFrame
 from facerelight.evaluation.photographs import MEASURES, photograph_measures
 from facerelight.evaluation.portrait import SOURCES, PortraitTruth
 from facerelight.evaluation.scan import ScannedHead
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import Lamp
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, crop_frame, load_relighter
 from facerelight.photo.files.disk import SUFFIXES, read_photo, write_photo
-from facerelight.relighter import StatisticalRelighter
-from facerelight.sources import Lamp
 
 FILL = 0.10
 LIGHTS: dict[str, tuple[list[Lamp], float]] = {

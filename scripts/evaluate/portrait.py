@@ -28,11 +28,11 @@ import torch
 
 from facerelight.evaluation.portrait import MEASURES, Make, PortraitTruth, Render, mean_scores, run_portraits
 from facerelight.evaluation.scan import TONES, ScannedHead
+from facerelight.geometry.sources import Lamp
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, colour, load_relighter, ratio
 from facerelight.photo import session as photo_session
 from facerelight.photo.bust.shading import BustShading
-from facerelight.relighter import StatisticalRelighter
-from facerelight.sources import Lamp
 
 SHEET = ((0, "front", "left"), (0, "front", "top"), (-1, "window", "left"), (-1, "window", "top"))
 TILE = (224, 244)  # width and height, pixels

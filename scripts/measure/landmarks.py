@@ -18,13 +18,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from facerelight.alignment import CropFrame
+from facerelight.bootstrap.dataset import open_renderer
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.generate import open_renderer
 from facerelight.bootstrap.heads import MakeHumanHeads, place_in_frame, rotate
 from facerelight.bootstrap.scene import plan_effects, shade, view_surface
 from facerelight.bootstrap.skin import Look
-from facerelight.lights import light_from_angles
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import light_from_angles
 from facerelight.photo.faces.face_mesh import fit_face_mesh
 from facerelight.photo.faces.head_pose import HeadPose, canonical_face
 from facerelight.photo.faces.landmarks import find_faces

@@ -22,10 +22,10 @@ import cv2
 import numpy as np
 import torch
 
+from facerelight.geometry.sources import Lamp
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, load_relighter
 from facerelight.photo.faces.landmarks import Face, find_faces
-from facerelight.relighter import StatisticalRelighter
-from facerelight.sources import Lamp
 
 UNIT, WIDTH, HEIGHT = 98.0, 560, 700  # pixels between the eyes, and of the portrait
 WARM_UP, LAMP, OTHER = Lamp(20, 10), Lamp(60, 20), Lamp(-50, 30)

@@ -5,18 +5,9 @@ import pytest
 import torch
 from scipy.optimize import brentq
 
-from facerelight.alignment import CropFrame, fit_similarity
+from facerelight.geometry.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust.frame import Window, working_window
-from facerelight.photo.colour import (
-    CAST,
-    LUMA,
-    WARM,
-    SkinColour,
-    part_highlight,
-    relit_radiance,
-    to_display,
-    to_scene,
-)
+from facerelight.photo.colour import CAST, LUMA, WARM, SkinColour, part_highlight, relit_radiance, to_display, to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.skin import skin_colour
 

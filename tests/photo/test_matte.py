@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity
+from facerelight.geometry.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust import matte as matte_module
 from facerelight.photo.bust.frame import Window, working_window
 from facerelight.photo.bust.matte import NETWORK_SIZE, person_matte

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import Lamp, LightMixture, fill_light, scene_light
 from facerelight.photo.bust.frame import BUST, FINE, crop_to_bust
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import BELOW, Bust
 from facerelight.photo.ratio import BRIGHTEST, BUST_BRIGHTEST, DARKEST, LEAK, FaceEvidence, LightRatio
-from facerelight.sources import Lamp, LightMixture, fill_light, scene_light
 
 CROP = CropFrame(48, 42, 0.25)
 CENTRE, RADIUS = (0.0, -0.4), 2.3

@@ -1,40 +1,19 @@
-"""Where the light comes from: kernel regression on images (4.4), and samples of the light given its known error (4.3)."""
+"""Where the light comes from, by kernel regression on images (4.4), with the error that it is known to make (4.3)."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from facerelight.gaussian import covariance_factor
-from facerelight.kernels import kernel_weights, neighbour_widths
-from facerelight.lights import unit_lights
+from facerelight.geometry.lights import unit_lights
+from facerelight.light.estimator import GaussianBelief, LightEstimator
+from facerelight.numerics.gaussian import covariance_factor
+from facerelight.numerics.kernels import kernel_weights, neighbour_widths
 
-__all__ = ["KernelIlluminationEstimator", "LightEstimate", "fit_soft_light", "quasi_normal"]
-
-
-class LightEstimate(NamedTuple):
-    """``direction (B, K, 3)``: unit vectors towards the light, the bias already taken off; zero for an image without any light."""
-
-    direction: Tensor
+__all__ = ["KernelIlluminationEstimator"]
 
 
-def quasi_normal(
-    count: int, dimensions: int, generator: torch.Generator | None = None, independent: bool = False
-) -> Tensor:
-    """``count`` standard normal points ``(count, dimensions)``: scrambled Sobol by default, or independent draws.
-
-    Quasi-random points fill space evenly, so means over them converge almost as ``1 / count`` instead of ``1 / sqrt(count)``.
-    """
-    if independent:
-        return torch.randn(count, dimensions, generator=generator)
-    seed = int(torch.randint(2**31, (1,), generator=generator)) if generator is not None else 0
-    points = torch.quasirandom.SobolEngine(dimensions, scramble=True, seed=seed).draw(count, dtype=torch.float64)
-    return torch.special.ndtri(points.clamp(1e-9, 1 - 1e-9)).float()
-
-
-class KernelIlluminationEstimator(nn.Module):
+class KernelIlluminationEstimator(LightEstimator):
     """Kernel regression from an image to its light (4.4), with the error that held-out people taught (4.3).
 
     Images are compared small and normalised in brightness, because cameras and flashes differ.
@@ -146,60 +125,16 @@ class KernelIlluminationEstimator(nn.Module):
         mean = kernel_weights(squared, self.widths) @ self.prototype_lights
         return torch.nn.functional.normalize(mean, dim=-1)
 
-    def forward(self, images: Tensor, mask: Tensor | None = None) -> LightEstimate:
-        """Estimate the light of each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show the face."""
-        if images.dim() != 4:
-            raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
-        small, energy = _thumbnails(images.flatten(0, 1), self.weight)
+    def locate(self, images: Tensor, mask: Tensor | None = None) -> GaussianBelief:
+        """The regression's light and the error that held-out people taught; see :meth:`LightEstimator.locate`."""
+        small, energy = _thumbnails(images.flatten(0, 1), self.weight)  # (B K, D), (B K,)
         visible = None
         if mask is not None:
-            visible = torch.nn.functional.interpolate(mask[:, None].float(), size=tuple(self.weight.shape), mode="area")
-            visible = visible.flatten(1).repeat_interleave(images.shape[1], 0).to(self.prototypes)
-        direction = self._regress(small.to(self.prototypes), visible)
-        direction = torch.nn.functional.normalize(direction + self.bias, dim=-1)
-        return LightEstimate((direction * (energy > 0)[:, None]).unflatten(0, images.shape[:2]).to(images))
-
-    def sample(
-        self,
-        images: Tensor,
-        count: int,
-        generator: torch.Generator | None = None,
-        independent: bool = False,
-        mask: Tensor | None = None,
-    ) -> Tensor:
-        """Draw ``count`` lights a image from ``N(estimate + bias, error covariance)``, put back on the sphere (4.3); ``(B, count, K, 3)``.
-
-        Quasi-random by default; ``independent=True`` draws as the thesis does. The same ``generator`` state gives the same lights.
-        """
-        direction = self(images, mask).direction  # (B, K, 3)
-        inputs = direction.shape[1]
-        noise = quasi_normal(count, 3 * inputs, generator, independent).reshape(count, inputs, 3).to(direction)
-        drawn = direction[:, None] + noise @ self.error_factor.T.to(direction)
-        drawn = torch.nn.functional.normalize(drawn, dim=-1)
-        return drawn * (direction[:, None].square().sum(-1, keepdim=True) > 0)
-
-
-def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int = 300) -> Tensor:
-    """How much each of J lights contributes to a photo, for photos that no single lamp made: non-negative least squares.
-
-    Light adds up, so a photo under any distant lights is about a non-negative mixture of the average face's images under single lights.
-
-    Args:
-        mean_images: ``(J, H, W)`` of the average face under each light.
-        image: ``(H, W)`` radiance.
-        mask: ``(H, W)``, 0 where the image does not show the face.
-        steps: multiplicative updates (Lee and Seung 2000), each of which lowers the error.
-
-    Returns:
-        ``(J,)`` non-negative amounts; all zero for a black image.
-    """
-    basis, weight = mean_images.clamp_min(0).flatten(1).double(), mask.flatten().double()
-    gram = (basis * weight) @ basis.T
-    target = (basis * weight) @ image.flatten().clamp_min(0).double()
-    amounts = torch.full_like(target, 1.0) * target.sum() / gram.sum().clamp_min(1e-30)
-    for _ in range(steps):
-        amounts = amounts * target / (gram @ amounts).clamp_min(1e-30)
-    return amounts.to(image)
+            visible = nn.functional.interpolate(mask[:, None].float(), size=tuple(self.weight.shape), mode="area")
+            visible = visible.flatten(1).repeat_interleave(images.shape[1], 0).to(self.prototypes)  # (B K, D)
+        direction = self._regress(small.to(self.prototypes), visible)  # (B K, 3)
+        direction = nn.functional.normalize(direction + self.bias, dim=-1) * (energy > 0)[:, None]
+        return GaussianBelief(direction.unflatten(0, images.shape[:2]).to(images), self.error_factor)
 
 
 def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,13 +15,13 @@ import kornia
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CANONICAL_LANDMARKS, CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import light_from_angles
+from facerelight.geometry.alignment import CANONICAL_LANDMARKS, CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
+from facerelight.geometry.lights import light_from_angles
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 from facerelight.photo.faces.landmarks import find_landmarks
 from facerelight.photo.files.disk import find_people, read_photo
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
 
 __all__ = ["Person", "adapt", "read_people"]
 

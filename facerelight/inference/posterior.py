@@ -7,8 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight import gaussian
-from facerelight.covariance import (
+from facerelight.geometry.lights import unit_lights
+from facerelight.model.covariance import (
     LightTerms,
     image_covariance,
     light_terms,
@@ -17,10 +17,10 @@ from facerelight.covariance import (
     observed,
     prior_mean,
 )
-from facerelight.lights import unit_lights
-from facerelight.mixture import mixture_mode
-from facerelight.registration import undeform
-from facerelight.statistics import FaceStatistics
+from facerelight.model.registration import undeform
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics import gaussian
+from facerelight.numerics.mixture import mixture_mode
 
 __all__ = ["Components", "Posterior", "Relit"]
 

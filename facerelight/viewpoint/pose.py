@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight import gaussian
 from facerelight.config import TrainConfig, cache_folder
-from facerelight.lights import light_from_angles
-from facerelight.subjects import face_operators
-from facerelight.views import ViewFields, ViewSource
+from facerelight.geometry.lights import light_from_angles
+from facerelight.model.subjects import face_operators
+from facerelight.numerics import gaussian
+from facerelight.viewpoint.views import ViewFields, ViewSource
 
 __all__ = ["BootstrapViews", "View", "ViewRelighter", "ViewRelit"]
 
@@ -88,7 +88,7 @@ class BootstrapViews:
         return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def _render(self, view: View) -> Tensor:
-        from facerelight.training import make_dataset
+        from facerelight.train.run import make_dataset
 
         light = light_from_angles(*view.light)[None]
         dataset = make_dataset(self.config, light, (view.azimuth, view.elevation), dict(view.expression))

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.lights import light_from_angles, nearest_lights
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics, FitOptions
+from facerelight.geometry.lights import light_from_angles, nearest_lights
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics, FitOptions
 
 __all__ = ["Choice", "choose_face_options"]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from facerelight import gaussian
-from facerelight.covariance import deviation_covariance, light_terms, observed
-from facerelight.lights import unit_lights
-from facerelight.posterior import Relit
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import unit_lights
+from facerelight.inference.posterior import Relit
+from facerelight.model.covariance import deviation_covariance, light_terms, observed
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics import gaussian
 
 __all__ = ["MaximumLikelihood"]
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.gaussian import safe_cholesky
-from facerelight.kernels import kernel_weights
-from facerelight.store import ImageStore
+from facerelight.model.image_store import ImageStore
+from facerelight.numerics.gaussian import safe_cholesky
+from facerelight.numerics.kernels import kernel_weights
 
 __all__ = [
     "Brightness",

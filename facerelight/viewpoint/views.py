@@ -1,7 +1,7 @@
 """What the bootstrap's people look like under given viewing conditions, person by person: the common ground of groups and of poses.
 
 A *view* is whatever an image was taken under: a light, for :class:`LightViews`; a pose, a light and an expression for
-:class:`~facerelight.pose.BootstrapViews`. Covariances between any pixels under any views follow from the people's fields.
+:class:`~facerelight.viewpoint.pose.BootstrapViews`. Covariances between any pixels under any views follow from the people's fields.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from facerelight.statistics import FaceStatistics
-from facerelight.subjects import fill_missing, fill_operators, gather_grams
+from facerelight.model.statistics import FaceStatistics
+from facerelight.model.subjects import fill_missing, fill_operators, gather_grams
 
 __all__ = ["LightViews", "ViewFields", "ViewSource"]
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
-from facerelight.bootstrap.dataset import FaceImages, to_grid
+from facerelight.evaluation.datasets import FaceImages, to_grid
+from facerelight.geometry.alignment import CropFrame, fit_similarity, warp_to_crop
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
-from facerelight.recognition.methods import GalleryImages, fit_classifier, is_pairwise, photometric
-from facerelight.relighter import StatisticalRelighter
+from facerelight.recognition.registry import GalleryImages, fit_classifier, is_pairwise, photometric
 
 __all__ = ["Enrolment", "Tally", "evaluate_galleries", "pie_as_canonical", "training_lights"]
 
@@ -108,7 +108,7 @@ def evaluate_galleries(
         faces: the data.
         galleries: person to light of the training image.
         relighter: synthesises exemplars.
-        classifiers: names, see :mod:`facerelight.recognition.methods`.
+        classifiers: names, see :mod:`facerelight.recognition.registry`.
         enrolment: how; default: known lights, no shifts, no registration.
     """
     how = enrolment or Enrolment()

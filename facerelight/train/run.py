@@ -19,16 +19,16 @@ from torch import Tensor, distributed
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
-from facerelight.adaptation import adapt, read_people
 from facerelight.config import TrainConfig, default_statistics_folder
-from facerelight.cross_validation import choose_face_options
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
-from facerelight.store import ImageStore
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.image_store import ImageStore
+from facerelight.model.statistics import FaceStatistics
+from facerelight.train.adapt import adapt, read_people
+from facerelight.train.cross_validation import choose_face_options
 
 if TYPE_CHECKING:
-    from facerelight.bootstrap.generate import BootstrapDataset
+    from facerelight.bootstrap.dataset import BootstrapDataset
 
 __all__ = ["make_dataset", "rendered_statistics", "train", "trained_folder"]
 
@@ -40,7 +40,7 @@ def make_dataset(
     expression: dict[str, float] | None = None,
 ) -> BootstrapDataset:
     """The people of a config as a torch dataset, under its own lights from the front unless told otherwise."""
-    from facerelight.bootstrap.generate import BootstrapDataset  # OpenGL starts here and not before
+    from facerelight.bootstrap.dataset import BootstrapDataset  # OpenGL starts here and not before
     from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads, MeshFolder
 
     source: HeadSource
@@ -83,7 +83,7 @@ def train(
         folder: where ``statistics.safetensors``, ``estimator.safetensors`` and ``report.json`` go.
         workers: processes that render; 0 renders in this one.
         keep_images: leave the rendered images where they are.
-        adapt_to: a folder of a few people's photographs, see :func:`facerelight.adaptation.read_people`; None: rendered heads alone.
+        adapt_to: a folder of a few people's photographs, see :func:`facerelight.train.adapt.read_people`; None: rendered heads alone.
 
     Returns:
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
@@ -165,7 +165,7 @@ def trained_folder(config: TrainConfig) -> Path:
 
 
 def rendered_statistics(config: TrainConfig) -> FaceStatistics:
-    """Statistics of ``config`` that still keep their images, as :func:`facerelight.adaptation.adapt` needs them; rendered once and cached."""
+    """Statistics of ``config`` that still keep their images, as :func:`facerelight.train.adapt.adapt` needs them; rendered once and cached."""
     folder = default_statistics_folder(config)
     if not (folder / "images").exists():
         train(config, folder, keep_images=True)

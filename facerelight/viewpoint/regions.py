@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.gaussian import condition_gaussian, positive_variance
-from facerelight.shrinkage import Shrinkage, shrunk_covariance
-from facerelight.views import ViewSource
+from facerelight.numerics.gaussian import condition_gaussian, positive_variance
+from facerelight.numerics.shrinkage import Shrinkage, shrunk_covariance
+from facerelight.viewpoint.views import ViewSource
 
 __all__ = [
     "GroupRelighter",

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
-from facerelight.detail import keep_detail
-from facerelight.recognition.baselines import OpenCVClassifier, SFaceFeatures
+from facerelight.geometry.alignment import CropFrame
+from facerelight.inference.detail import keep_detail
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifiers import (
     Classifier,
@@ -23,6 +22,7 @@ from facerelight.recognition.classifiers import (
     NearestNeighborClassifier,
     SumClassifier,
 )
+from facerelight.recognition.opencv import OpenCVClassifier, SFaceFeatures
 from facerelight.recognition.photometric import NORMALIZERS, make_normalizer
 
 __all__ = ["BASELINES", "CLASSIFIERS", "METHODS", "GalleryImages", "fit_classifier", "is_pairwise", "photometric"]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.statistics import FaceLoadings, FaceStatistics, PixelStatistics
+from facerelight.model.statistics import FaceLoadings, FaceStatistics, PixelStatistics
 
 __all__ = [
     "LightTerms",

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from facerelight.alignment import CropFrame, fit_similarity, warp_to_crop
+from facerelight.geometry.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.recognition.classifiers import Classifier
 
 __all__ = ["OpenCVClassifier", "SFaceFeatures", "find_model"]

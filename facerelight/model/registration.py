@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from facerelight.gaussian import safe_cholesky
+from facerelight.numerics.gaussian import safe_cholesky
 
 __all__ = ["align_people", "congeal", "deform", "register", "undeform"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from facerelight.filters import gaussian_blur
+from facerelight.numerics.blur import gaussian_blur
 
 __all__ = ["keep_detail"]
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.lights import even_hemisphere, light_from_angles
+from facerelight.geometry.lights import even_hemisphere, light_from_angles
 
 __all__ = ["LUMINANCE", "Lamp", "LightMixture", "fill_light", "scene_light"]
 

@@ -13,12 +13,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from facerelight import gaussian
-from facerelight.kernels import kernel_weights, neighbour_widths
-from facerelight.lights import angular_distance, merge_repeats, unit_lights
-from facerelight.statistics_file import read_tensors, write_tensors
-from facerelight.store import ImageStore
-from facerelight.subjects import (
+from facerelight.geometry.lights import angular_distance, merge_repeats, unit_lights
+from facerelight.model.file import read_tensors, write_tensors
+from facerelight.model.image_store import ImageStore
+from facerelight.model.subjects import (
     Brightness,
     FaceOperators,
     Grams,
@@ -30,6 +28,8 @@ from facerelight.subjects import (
     measure_brightness,
     total_gram,
 )
+from facerelight.numerics import gaussian
+from facerelight.numerics.kernels import kernel_weights, neighbour_widths
 
 __all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
-from facerelight import gaussian
-from facerelight.covariance import image_covariance, light_terms, loadings_at, prior_mean
-from facerelight.illumination import LightEstimate
-from facerelight.lights import angular_distance, even_hemisphere, nearest_lights
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import angular_distance, even_hemisphere, nearest_lights
+from facerelight.light.estimator import LightEstimator
+from facerelight.model.covariance import image_covariance, light_terms, loadings_at, prior_mean
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics import gaussian
 
 __all__ = ["LikelihoodIlluminationEstimator"]
 
@@ -20,7 +22,7 @@ IMAGES_AT_ONCE = 16
 REACH = 15.0  # degrees from the nearest bootstrap light
 
 
-class LikelihoodIlluminationEstimator(nn.Module):
+class LikelihoodIlluminationEstimator(LightEstimator):
     """Posterior over a grid of lights from ``p(image | light)``, the whole-face code integrated out and the image's gain fitted.
 
     It looks at every few pixels only. Pixels are not independent given the code, so the log likelihood is divided by ``temper``, which
@@ -131,40 +133,35 @@ class LikelihoodIlluminationEstimator(nn.Module):
         self.temper.fill_(max(score, key=score.__getitem__))
         return self
 
-    def forward(self, images: Tensor, mask: Tensor | None = None) -> LightEstimate:
-        """The mean direction of the posterior for each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show the face."""
-        if images.dim() != 4:
-            raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
+    def locate(self, images: Tensor, mask: Tensor | None = None) -> GridBelief:
+        """The posterior over the grid; see :meth:`LightEstimator.locate`."""
+        inputs = images.shape[1]
         flat = images.flatten(0, 1)
-        probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(images.shape[1], 0))
-        direction = torch.nn.functional.normalize(probability.to(self.grid) @ self.grid, dim=-1)
-        return LightEstimate((direction * _lit(flat)[:, None]).unflatten(0, images.shape[:2]).to(images))
+        probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(inputs, 0))  # (B K, R)
+        direction = nn.functional.normalize(probability.to(self.grid) @ self.grid, dim=-1) * _lit(flat)[:, None]
+        return GridBelief(direction.unflatten(0, images.shape[:2]), probability, self.grid, self.spacing() / 2)
 
-    def sample(
-        self,
-        images: Tensor,
-        count: int,
-        generator: torch.Generator | None = None,
-        independent: bool = False,
-        mask: Tensor | None = None,
-    ) -> Tensor:
-        """Draw ``count`` lights an image from the posterior, spread over the grid's cells, ``(B, count, K, 3)``.
 
-        Quasi-random by default: one point a ``1 / count`` of the probability; ``independent=True`` draws without that order.
-        """
-        people, inputs = images.shape[:2]
-        flat = images.flatten(0, 1)
-        probability = self.posterior(flat, None if mask is None else mask.repeat_interleave(inputs, 0))
+class GridBelief(NamedTuple):
+    """``probability (B K, R)`` of the lights of a ``grid (R, 3)`` with cells of radius ``cell``; its mean ``direction (B, K, 3)``."""
+
+    direction: Tensor
+    probability: Tensor
+    grid: Tensor
+    cell: float
+
+    def draw(self, count: int, generator: torch.Generator | None, independent: bool) -> Tensor:
+        """See :meth:`LightBelief.draw`: spread over the grid's cells, by default one point a ``1 / count`` of the probability."""
+        images = len(self.probability)
         generator = generator or torch.Generator().manual_seed(0)
-        points = torch.rand(len(flat), count, generator=generator, dtype=torch.float64)
+        points = torch.rand(images, count, generator=generator, dtype=torch.float64)
         if not independent:  # stratified, in an order of its own for each input
-            order = torch.stack([torch.randperm(count, generator=generator) for _ in range(len(flat))])
+            order = torch.stack([torch.randperm(count, generator=generator) for _ in range(images)])
             points = (order + points) / count
-        chosen = torch.searchsorted(probability.cumsum(1), points).clamp_max(len(self.grid) - 1)
-        cell = self.spacing() / 2
-        noise = cell * torch.randn(len(flat), count, 3, generator=generator)
-        drawn = torch.nn.functional.normalize(self.grid[chosen] + noise.to(self.grid), dim=-1)
-        return (drawn * _lit(flat)[:, None, None]).unflatten(0, (people, inputs)).transpose(1, 2).to(images)
+        chosen = torch.searchsorted(self.probability.cumsum(1), points).clamp_max(len(self.grid) - 1)  # (B K, count)
+        noise = self.cell * torch.randn(images, count, 3, generator=generator)
+        drawn = self.grid[chosen] + noise.to(self.grid)  # (B K, count, 3)
+        return drawn.unflatten(0, self.direction.shape[:2]).transpose(1, 2)
 
 
 def _lit(images: Tensor) -> Tensor:

@@ -8,22 +8,20 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from facerelight.covariance import prior_mean
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import unit_lights
-from facerelight.mle import MaximumLikelihood
-from facerelight.posterior import PersonPosterior, Posterior, Relit
-from facerelight.registration import deform
-from facerelight.registration import register as find_deformation
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import unit_lights
+from facerelight.inference.maximum_likelihood import MaximumLikelihood
+from facerelight.inference.methods import RELIGHTING_METHODS, Method
+from facerelight.inference.posterior import PersonPosterior, Posterior, Relit
+from facerelight.light.estimator import LightEstimator
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.covariance import prior_mean
+from facerelight.model.registration import deform
+from facerelight.model.registration import register as find_deformation
+from facerelight.model.statistics import FaceStatistics
 
-__all__ = ["LightEstimator", "StatisticalRelighter"]
+__all__ = ["StatisticalRelighter"]
 
 Covariance = Literal["pixel", "face"]
-LightEstimator = KernelIlluminationEstimator | LikelihoodIlluminationEstimator
-Method = Literal["expected", "map", "mle"]
-METHODS = ("expected", "map", "mle")
 
 
 class StatisticalRelighter(nn.Module):
@@ -78,7 +76,7 @@ class StatisticalRelighter(nn.Module):
             generator: makes the samples another set; by default they are the same at every call.
             mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity. None: everywhere.
             register: find where each face lies beside the model's, and render it there; for statistics of real, aligned faces
-                (:func:`facerelight.registration.align_people`) and landmarks that are not exact.
+                (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
 
         Raises:
             ValueError: shapes or values out of range.
@@ -162,8 +160,8 @@ class StatisticalRelighter(nn.Module):
         Returns:
             :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype; with "map", ``mean`` holds the mode.
         """
-        if method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if method not in RELIGHTING_METHODS:
+            raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
         if method == "mle":
             mean, variance = self._fixed_normal(self._checked(images), target_lights, source_lights)
         else:
@@ -191,7 +189,7 @@ class StatisticalRelighter(nn.Module):
         height, width = self.statistics.size
         if images.dim() != 4 or tuple(images.shape[2:]) != (height, width):
             raise ValueError(
-                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)}; align photos with facerelight.alignment first"
+                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)}; align photos with facerelight.geometry.alignment first"
             )
         if not images.is_floating_point():
             raise ValueError(
