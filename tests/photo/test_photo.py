@@ -13,7 +13,7 @@ from facerelight.photo import PhotoRelighter, relight
 from facerelight.photo.faces.landmarks import LandmarksNotFoundError, find_landmarks
 from facerelight.photo.files.disk import read_photo, write_photo
 
-CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
+CONFIG = Path(__file__).parents[2] / "configs" / "tiny.yaml"
 MARKS = ((202.0, 101.0), (247.0, 103.0), (221.0, 144.0))
 
 

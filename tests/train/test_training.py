@@ -13,7 +13,7 @@ from facerelight.cli import main, read_config
 from facerelight.config import QUALITIES, quality_config
 from facerelight.model.statistics import FaceStatistics
 
-CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
+CONFIG = Path(__file__).parents[2] / "configs" / "tiny.yaml"
 
 
 def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
@@ -33,7 +33,7 @@ def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
 
 
 def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
-    script = Path(__file__).parent.parent / "scripts" / "accuracy_vs_time.py"
+    script = Path(__file__).parents[2] / "scripts" / "accuracy_vs_time.py"
     command = [sys.executable, str(script), "--quick", "--output", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
@@ -52,7 +52,7 @@ def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("quality", list(QUALITIES))
 def test_the_configs_are_the_qualities(quality: str) -> None:
     name = "default" if quality == "standard" else quality
-    assert read_config(Path(__file__).parents[1] / "configs" / f"{name}.yaml") == quality_config(quality)
+    assert read_config(Path(__file__).parents[2] / "configs" / f"{name}.yaml") == quality_config(quality)
 
 
 def test_an_unknown_quality_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
