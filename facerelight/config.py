@@ -1,4 +1,5 @@
-"""What a training run is: heads, lights, crop, paint and how to fit; read from YAML and from command-line flags alike."""
+"""What a training run is: heads, lights, crop, paint and how to fit; read from YAML and from command-line flags
+alike."""
 
 from __future__ import annotations
 
@@ -29,14 +30,15 @@ class TrainConfig:
     Args:
         heads: how many people to render.
         source: "makehuman" (packed with the package), a folder of meshes, or the path of ``ict_heads.npz``.
-        lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal light); or a list of
-            (azimuth, elevation) in degrees, such as the lights of a certain rig.
+        lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal
+            light); or a list of (azimuth, elevation) in degrees, such as the lights of a certain rig.
         height, width, margin: the crop; margin is a fraction of the canonical crop added on every side.
         supersample: rendered samples a pixel along each side.
         seed: of the heads and their paint.
         effects: "auto" simulates what each scene calls for, "all" everything; the images are the same.
         domain: the rendered world.
-        choose_rank: choose the whole-face rank and temper by cross-validation over the rendered people, instead of taking those of ``fit``.
+        choose_rank: choose the whole-face rank and temper by cross-validation over the rendered people, instead of
+            taking those of ``fit``.
         fit: how statistics are learned.
     """
 
@@ -101,7 +103,8 @@ QUALITIES = {
         heads=240, lights=100, height=192, width=168, fit=FitOptions(face_rank=80, brightness=True)
     ),
 }
-"""Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and ``reference.yaml``)."""
+"""Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and
+``reference.yaml``)."""
 
 
 def quality_config(quality: str) -> TrainConfig:

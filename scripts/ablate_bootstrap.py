@@ -1,7 +1,9 @@
-"""What each cause of realism is worth: rendered statistics measured on real faces while one cause after another is added.
+"""What each cause of realism is worth: rendered statistics measured on real faces while one cause after another is
+added.
 
-For every row: RMSE in grey levels from a frontal and from a side-lit photograph to all other lights (yale-relight, whole-face model), and
-rank-1 accuracy with all people enrolled from a frontal photograph (yale-recognize, Weber faces, individual PCA of 9 dimensions).
+For every row: RMSE in grey levels from a frontal and from a side-lit photograph to all other lights (yale-relight,
+whole-face model), and rank-1 accuracy with all people enrolled from a frontal photograph (yale-recognize, Weber faces,
+individual PCA of 9 dimensions).
 
 python scripts/ablate_bootstrap.py --data yaleb_192x168.npz --markdown ablation.md
 """

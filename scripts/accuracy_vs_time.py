@@ -1,13 +1,16 @@
-"""What accuracy costs in time: every knob of the package against error on held-out people, as CSV files, tables and a plot.
+"""What accuracy costs in time: every knob of the package against error on held-out people, as CSV files, tables and a
+plot.
 
-python scripts/accuracy_vs_time.py --output trade_off/ [--data yaleb_192x168.npz]        (about half an hour on two cores; --quick: a smoke test)
+python scripts/accuracy_vs_time.py --output trade_off/ [--data yaleb_192x168.npz]        (about half an hour on two
+cores; --quick: a smoke test)
 
-Each row changes one knob off the default. Error: RMSE in grey levels over held-out rendered heads (and, with --data, seven people of Extended
-Yale B, statistics of the other 21), inputs lit from the front and from 70 degrees, twelve output lights; *distance* is the RMSE between the
-row's images and those of the converged reference (rank 80, 48 functions over the lights, all heads). Slow settings are measured on
-fewer *people*, and left out of the plot. Time: median of paired runs for one image
-and twelve lights, as a ratio to one product of an (8064, 64) with a (64, 64) matrix in the same process, so that it carries to another machine.
-Memory: what the process needs on top while it relights, and the statistics' buffers.
+Each row changes one knob off the default. Error: RMSE in grey levels over held-out rendered heads (and, with --data,
+seven people of Extended Yale B, statistics of the other 21), inputs lit from the front and from 70 degrees, twelve
+output lights; *distance* is the RMSE between the row's images and those of the converged reference (rank 80, 48
+functions over the lights, all heads). Slow settings are measured on fewer *people*, and left out of the plot. Time:
+median of paired runs for one image and twelve lights, as a ratio to one product of an (8064, 64) with a (64, 64) matrix
+in the same process, so that it carries to another machine. Memory: what the process needs on top while it relights, and
+the statistics' buffers.
 """
 
 import argparse
@@ -19,6 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from tqdm import tqdm
 from trade_off_parts import peak_memory_mb, poses, recognition, rendering
@@ -61,7 +65,8 @@ Maker = Callable[["World"], tuple[Relight, FaceStatistics]]
 
 
 class World:
-    """People under J lights: a bootstrap and strangers; which lights are the sources and the targets; whether faces need registration."""
+    """People under J lights: a bootstrap and strangers; which lights are the sources and the targets; whether faces
+    need registration."""
 
     def __init__(
         self,
@@ -388,7 +393,7 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def plot(axis, rows: list[dict], error: str, cost: str, labels: tuple[str, str]) -> None:  # type: ignore[no-untyped-def]
+def plot(axis: Axes, rows: list[dict], error: str, cost: str, labels: tuple[str, str]) -> None:
     """Error against cost, a line a knob, with the Pareto frontier and the defaults."""
     for index, knob in enumerate(dict.fromkeys(row["knob"] for row in rows)):
         points = [row for row in rows if row["knob"] == knob]

@@ -119,7 +119,8 @@ def measure() -> dict[str, float]:
 
 
 def recognition(people: int = 1000, pixels: int = 100, dimension: int = 40) -> dict[str, float]:
-    """One probe against the subspaces of many people, over the product of the probe with all of their bases side by side."""
+    """One probe against the subspaces of many people, over the product of the probe with all of their bases side by
+    side."""
     generator = torch.Generator().manual_seed(0)
     directions = torch.linalg.qr(torch.randn(pixels**2, dimension, generator=generator)).Q
     spaces = [Subspace(torch.zeros(pixels**2), directions.roll(i, 0), torch.ones(dimension)) for i in range(people)]

@@ -30,7 +30,8 @@ def correlation(pixel: PixelStatistics) -> Tensor:
 
 
 def spectrum(images: Tensor) -> Tensor:
-    """Power of the frontal images' logarithm by spatial frequency, in octaves below Nyquist, mean of all people, ``(5,)``."""
+    """Power of the frontal images' logarithm by spatial frequency, in octaves below Nyquist, mean of all people,
+    ``(5,)``."""
     logs = (images.clamp_min(0) + 0.02).log()
     logs = logs - logs.mean((1, 2), keepdim=True)
     window = torch.hann_window(logs.shape[1])[:, None] * torch.hann_window(logs.shape[2])
@@ -76,13 +77,15 @@ def main() -> None:
     print("| statistic | real | rendered | distance |\n|---|---|---|---|")
     print(f"| direction of mean n | | | median {angle.median():.1f}, mean {angle.mean():.1f} degrees |")
     print(
-        f"| length of mean n (albedo) | {albedo[0].mean():.3f} | {albedo[1].mean():.3f} | ratio's spread {ratio.log().std():.3f} |"
+        f"| length of mean n (albedo) | {albedo[0].mean():.3f} | {albedo[1].mean():.3f}"
+        f" | ratio's spread {ratio.log().std():.3f} |"
     )
     print(f"| spread of n | {spread[0].mean():.3f} | {spread[1].mean():.3f} | |")
     print(f"| mean v, grey levels | | | RMS {v_error.square().mean().sqrt():.1f} |")
     print(f"| spread of v, grey levels | {v_spread[0].mean():.1f} | {v_spread[1].mean():.1f} | |")
     print(
-        f"| brightness by light, real over rendered | | | {gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f} |"
+        f"| brightness by light, real over rendered | | |"
+        f" {gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f} |"
     )
     print(f"| mean image, grey levels | | | RMS {255 * (image[0] - image[1]).square().mean().sqrt():.1f} |")
     print(f"| correlation of v over lights | | | RMS {off.square().mean().sqrt():.3f} |")
@@ -91,7 +94,8 @@ def main() -> None:
     print(f"| tones, grey levels, 10/50/90 % | {texts[0]} | {texts[1]} | |")
     for k in range(5):
         print(
-            f"| log power, {2**k * 2} to {2**k * 4} pixels a wave | {power[0][k]:.2f} | {power[1][k]:.2f} | {power[0][k] / power[1][k]:.2f} |"
+            f"| log power, {2**k * 2} to {2**k * 4} pixels a wave | {power[0][k]:.2f} | {power[1][k]:.2f}"
+            f" | {power[0][k] / power[1][k]:.2f} |"
         )
     if args.output is None:
         return

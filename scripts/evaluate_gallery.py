@@ -1,7 +1,9 @@
-"""`facerelight recognize` end to end: a gallery of one photograph a person, each under another light, lights estimated, landmarks as given.
+"""`facerelight recognize` end to end: a gallery of one photograph a person, each under another light, lights estimated,
+landmarks as given.
 
-Extended Yale B as a person would photograph it: sRGB, in a larger picture. Everybody is enrolled from one of five mild lights; probes are
-six other lights, up to 70 degrees to the side. Landmarks are found by the package, or are the crop's own with Gaussian noise.
+Extended Yale B as a person would photograph it: sRGB, in a larger picture. Everybody is enrolled from one of five mild
+lights; probes are six other lights, up to 70 degrees to the side. Landmarks are found by the package, or are the crop's
+own with Gaussian noise.
 
 python scripts/evaluate_gallery.py --data yaleb_192x168.npz
 """

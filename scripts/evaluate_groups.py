@@ -1,9 +1,11 @@
-"""Several pixels at a time (5.5): error against the group's size, the number of heads and the covariance's estimator, and det C_m.
+"""Several pixels at a time (5.5): error against the group's size, the number of heads and the covariance's estimator,
+and det C_m.
 
 python scripts/evaluate_groups.py --json groups.json --figure groups.png
 
-The input is lit from the side, the output from the front, as in figures 5.9 and 5.10; people are held-out rendered heads. Tells which of
-the three causes suspected in 5.5.2 (the criterion of grouping, the greedy algorithm, too few data) makes the thesis's images noisy.
+The input is lit from the side, the output from the front, as in figures 5.9 and 5.10; people are held-out rendered
+heads. Tells which of the three causes suspected in 5.5.2 (the criterion of grouping, the greedy algorithm, too few
+data) makes the thesis's images noisy.
 """
 
 import argparse
@@ -28,7 +30,8 @@ from facerelight.viewpoint.regions import GroupRelighter, GroupRelit, group_by_c
 from facerelight.viewpoint.views import LightViews
 
 SOURCE, TARGET = (70.0, 0.0), (0.0, 0.0)
-PRINTED = "as printed"  # (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's covariance at the output light; it must be C_v1
+# (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's covariance at the output light; it must be C_v1
+PRINTED = "as printed"
 
 
 class PrintedGroups(GroupRelighter):

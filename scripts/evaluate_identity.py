@@ -1,11 +1,13 @@
-"""Mixed identity and calibration: what the whole-face model adds where the input is dark, and whether its variances are true.
+"""Mixed identity and calibration: what the whole-face model adds where the input is dark, and whether its variances are
+true.
 
 python scripts/evaluate_identity.py --json identity.json [--data yaleb_192x168.npz] [--plot reliability.png]
 
-Input: one image lit from 70 degrees, its light known; output: the front (error, identity) and every light (calibration). On held-out rendered
-heads and, with --data, on Extended Yale B in four folds with real statistics. Identity: is the relit image nearest, among the test people's
-true frontal images, to its own (L2 after removing mean and scale)? The plot is a reliability diagram: pixels sorted by predicted standard
-deviation, its mean against the root mean square error. Photographed people and inputs are registered; rendered heads are marked exactly.
+Input: one image lit from 70 degrees, its light known; output: the front (error, identity) and every light
+(calibration). On held-out rendered heads and, with --data, on Extended Yale B in four folds with real statistics.
+Identity: is the relit image nearest, among the test people's true frontal images, to its own (L2 after removing mean
+and scale)? The plot is a reliability diagram: pixels sorted by predicted standard deviation, its mean against the root
+mean square error. Photographed people and inputs are registered; rendered heads are marked exactly.
 """
 
 import argparse
@@ -46,7 +48,8 @@ def measure(
     target: int,
     register: bool,
 ) -> dict:
-    """Sums over test people, by model: squared shadow errors, identities, and how many errors lie within each interval."""
+    """Sums over test people, by model: squared shadow errors, identities, and how many errors lie within each
+    interval."""
     sums: dict = {}
     gallery = people[valid[:, target], target]
     names = valid[:, target].nonzero()[:, 0].tolist()
@@ -99,7 +102,8 @@ def summary(parts: list[dict]) -> dict:
 
 
 def reliability(parts: list[dict], model: str, bins: int = 20) -> tuple[torch.Tensor, torch.Tensor]:
-    """Predicted standard deviation and root mean square error of pixels, by twentieths of the predicted, in grey levels."""
+    """Predicted standard deviation and root mean square error of pixels, by twentieths of the predicted, in grey
+    levels."""
     spread, error = (torch.cat([x for part in parts for x in part[model][what]]) for what in ("spread", "error"))
     order = spread.argsort()
     groups = zip(spread[order].tensor_split(bins), error[order].tensor_split(bins), strict=True)

@@ -2,9 +2,10 @@
 
 python scripts/evaluate_light.py --data yaleb_192x168.npz --pie pie10_55x44.npz --json light.json
 
-Angle between estimate and label, in degrees, and how many percent of the labels lie inside the circle about the estimate that holds 90 % of
-the estimator's samples. Yale: four folds, statistics of the other 21 people. PIE: statistics of Yale, labels are the data's own estimates.
-Heads: 20 held-out rendered heads under 64 lights, statistics of 100 others. The likelihood's temper is left at its default.
+Angle between estimate and label, in degrees, and how many percent of the labels lie inside the circle about the
+estimate that holds 90 % of the estimator's samples. Yale: four folds, statistics of the other 21 people. PIE:
+statistics of Yale, labels are the data's own estimates. Heads: 20 held-out rendered heads under 64 lights, statistics
+of 100 others. The likelihood's temper is left at its default.
 """
 
 import argparse

@@ -1,9 +1,11 @@
-"""Other poses: statistics rendered on demand at exactly the pose asked for, against the thesis's interpolation over its 45 poses (5.6).
+"""Other poses: statistics rendered on demand at exactly the pose asked for, against the thesis's interpolation over its
+45 poses (5.6).
 
 python scripts/evaluate_pose.py --heads 100 --json pose.json --picture pose.png
 
-Inputs are three images of a held-out head (30 degrees left, 30 right, frontal), outputs lie off the thesis's grid of poses; the light is
-frontal and known throughout, as in 5.6.1. Also answers the question of section 7.3: does n vary more over poses or over people?
+Inputs are three images of a held-out head (30 degrees left, 30 right, frontal), outputs lie off the thesis's grid of
+poses; the light is frontal and known throughout, as in 5.6.1. Also answers the question of section 7.3: does n vary
+more over poses or over people?
 """
 
 import argparse
@@ -51,7 +53,8 @@ class GridViews:
 
 
 def variation_of_n(source: BootstrapViews, people: int) -> tuple[float, float]:
-    """Mean square change of n between poses (of the average person), and between people (at a pose), over pixels and components."""
+    """Mean square change of n between poses (of the average person), and between people (at a pose), over pixels and
+    components."""
     few = BootstrapViews(replace(source.config, heads=people), source.folder)
     solver = torch.linalg.pinv(torch.stack([light_from_angles(*light) for light in LIGHTS]))
     n = []

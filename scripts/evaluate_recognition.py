@@ -1,7 +1,7 @@
 """Measure recognition from one image a person: protocols yale-recognize and pie-recognize.
 
-    python scripts/evaluate_recognition.py --protocol yale-recognize --data yaleb_192x168.npz --train-light side --json out.json
-    python scripts/evaluate_recognition.py --protocol pie-recognize --data pie10_55x44.npz --statistics real \\
+    python scripts/evaluate_recognition.py --protocol yale-recognize --data yaleb_192x168.npz --train-light side --json
+    out.json python scripts/evaluate_recognition.py --protocol pie-recognize --data pie10_55x44.npz --statistics real \\
         --bootstrap-data yaleb_192x168.npz --train-light random --source-light estimated
 """
 
@@ -54,7 +54,8 @@ def rendered(args: argparse.Namespace) -> StatisticalRelighter:
 
 
 def summary(runs: list[Tally]) -> dict[str, object]:
-    """Accuracy in percent over all probes of all galleries, its spread over galleries, by subset, and seconds a probe."""
+    """Accuracy in percent over all probes of all galleries, its spread over galleries, by subset, and seconds a
+    probe."""
     right, subset = torch.cat([t.right for t in runs]).float(), torch.cat([t.subset for t in runs])
     each = torch.tensor([float(t.right.float().mean()) for t in runs])
     return {

@@ -1,6 +1,7 @@
 """Measure relighting on Extended Yale B: protocols yale-relight and yale-relight-newlights.
 
-python scripts/evaluate_relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --folds 4 --json out.json
+python scripts/evaluate_relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --folds 4 --json
+out.json
 """
 
 import argparse
@@ -28,7 +29,8 @@ def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Doma
 
 
 def read_domains(path: Path | None, folds: int) -> list[Domain]:
-    """The rendered world of each fold, as ``search_domain.py`` found it on that fold's other people; without a file the package's own."""
+    """The rendered world of each fold, as ``search_domain.py`` found it on that fold's other people; without a file the
+    package's own."""
     if path is None:
         return [Domain()] * folds
     found = [Domain(**values) for values in json.loads(path.read_text())["folds"]]

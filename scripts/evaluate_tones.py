@@ -1,4 +1,5 @@
-"""Are all skin tones relit equally well? Errors of held-out rendered heads by tone, and of photographs by frontal brightness.
+"""Are all skin tones relit equally well? Errors of held-out rendered heads by tone, and of photographs by frontal
+brightness.
 
 python scripts/evaluate_tones.py --data yaleb_192x168.npz
 """
@@ -59,7 +60,8 @@ def main() -> None:
     photos, valid = to_grid(faces)
     frontal = int(faces.lights[:, 2].argmax())
     print(
-        "| faces | tone | people | RMSE front | % of brightness | RMSE side | % of brightness |\n|---|---|---|---|---|---|---|"
+        "| faces | tone | people | RMSE front | % of brightness | RMSE side | % of brightness |\n"
+        "|---|---|---|---|---|---|---|"
     )
     tone = torch.tensor([dataset.look(args.heads + index).tone for index in range(count)])
     cases = ("front", "side")

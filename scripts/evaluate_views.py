@@ -1,7 +1,7 @@
 """Recognition across light, pose and expression (6.4, 7.3): one frontal photograph a person, held-out rendered heads.
 
-Exemplars of each person are rendered under other lights, poses and expressions from the one photograph, with statistics rendered on demand;
-a person is the PCA subspace of them. Probes lie between the exemplars' views.
+Exemplars of each person are rendered under other lights, poses and expressions from the one photograph, with statistics
+rendered on demand; a person is the PCA subspace of them. Probes lie between the exemplars' views.
 
 python scripts/evaluate_views.py --markdown views.md
 """

@@ -1,4 +1,5 @@
-"""Make the pictures of the README: a public-domain photo relit by soft and by hard lamps, and what the light angles mean on a rendered head.
+"""Make the pictures of the README: a public-domain photo relit by soft and by hard lamps, and what the light angles
+mean on a rendered head.
 
 python scripts/make_readme_images.py --photo astronaut.png --output .github/images
 """

@@ -1,9 +1,10 @@
-"""Monte Carlo: error against the number of draws, for the expected image (Algorithm 2) and the most probable one (Algorithm 1).
+"""Monte Carlo: error against the number of draws, for the expected image (Algorithm 2) and the most probable one
+(Algorithm 1).
 
 python scripts/measure_draws.py --json draws.json
 
-Light samples are independent, as in the thesis, or quasi-random. Errors are RMS grey levels against a converged run, over held-out rendered
-heads under unknown lights; the model is that of configs/tiny.yaml.
+Light samples are independent, as in the thesis, or quasi-random. Errors are RMS grey levels against a converged run,
+over held-out rendered heads under unknown lights; the model is that of configs/tiny.yaml.
 """
 
 import argparse

@@ -52,7 +52,8 @@ def main() -> None:
         print(f"| {effect} | " + " | ".join(f"{count:,}" for count in counts) + " |")
     per_light = {name: 1000 * s / args.heads / args.lights for name, s in seconds.items()}
     print(
-        f"\n{args.heads} heads x {args.lights} lights: {per_light['auto']:.1f} ms an image, all effects {per_light['all']:.1f} ms, "
+        f"\n{args.heads} heads x {args.lights} lights: {per_light['auto']:.1f} ms an image,"
+        f" all effects {per_light['all']:.1f} ms, "
         f"median ratio {statistics.median(ratios):.2f}, largest difference of a pixel {largest:.1e}"
     )
 

@@ -2,9 +2,9 @@
 
 python scripts/measure_pyramid.py --data yaleb_192x168.npz
 
-Protocol yale-relight with real, registered statistics. Every image is a sum of bands, each half as fine as the one before (Burt and Adelson);
-the model holds for each band as for the image, both being linear. A coarse pixel sees a large part of the face. Rows: the per-pixel model, the
-same on the bands, and the whole-face model.
+Protocol yale-relight with real, registered statistics. Every image is a sum of bands, each half as fine as the one
+before (Burt and Adelson); the model holds for each band as for the image, both being linear. A coarse pixel sees a
+large part of the face. Rows: the per-pixel model, the same on the bands, and the whole-face model.
 """
 
 import argparse
@@ -22,7 +22,8 @@ from facerelight.model.statistics import FaceStatistics, FitOptions
 
 
 def bands(images: torch.Tensor, levels: int) -> list[torch.Tensor]:
-    """``images (N, J, H, W)`` as differences between neighbouring resolutions, finest first, and the coarsest image last."""
+    """``images (N, J, H, W)`` as differences between neighbouring resolutions, finest first, and the coarsest image
+    last."""
     result = []
     for _ in range(levels - 1):
         height, width = images.shape[2:]

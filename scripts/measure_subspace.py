@@ -1,10 +1,12 @@
-"""The individual subspace without synthesis (6.2) against that of synthesised exemplars: angles, recognition rates and time.
+"""The individual subspace without synthesis (6.2) against that of synthesised exemplars: angles, recognition rates and
+time.
 
 python scripts/measure_subspace.py --data yaleb_192x168.npz
 
-Extended Yale B, four folds, real registered statistics, whole-face model: everybody enrolled from one image (front, then side), all other images
-as probes, nine dimensions, no photometric normalisation. Light distributions: the thesis's 30 x 30 grid of angles (6.3) and the uniform
-hemisphere by quadrature (6.1), the same nodes and weights for both ways. The moments of the features are computed once for all people.
+Extended Yale B, four folds, real registered statistics, whole-face model: everybody enrolled from one image (front,
+then side), all other images as probes, nine dimensions, no photometric normalisation. Light distributions: the thesis's
+30 x 30 grid of angles (6.3) and the uniform hemisphere by quadrature (6.1), the same nodes and weights for both ways.
+The moments of the features are computed once for all people.
 """
 
 import argparse
@@ -77,16 +79,16 @@ def main() -> None:
                     right = [a == b for a, b in zip(classifier.predict(torch.cat(probes)), labels, strict=True)]
                     row[name] += [float(r) for r in right]
     print(
-        "| lights | input | angle, median of 9, largest | rank-1, synthesised | rank-1, direct | time, synthesised | direct | share |\n"
-        + "|---" * 8
-        + "|"
+        "| lights | input | angle, median of 9, largest | rank-1, synthesised | rank-1, direct"
+        " | time, synthesised | direct | share |\n" + "|---" * 8 + "|"
     )
     for (kind, case), row in rows.items():
         angle = torch.tensor(row["angles"])
         slow, fast = (float(torch.tensor(row[name]).median()) for name in ("slow", "fast"))
         rates = [100 * sum(row[name]) / len(row[name]) for name in ("synthesised", "direct")]
         print(
-            f"| {kind} | {case} | {float(angle.median()):.1f}, {float(angle.amax(1).median()):.1f} | {rates[0]:.1f} | {rates[1]:.1f}"
+            f"| {kind} | {case} | {float(angle.median()):.1f}, {float(angle.amax(1).median()):.1f}"
+            f" | {rates[0]:.1f} | {rates[1]:.1f}"
             f" | {1e3 * slow:.0f} ms | {1e3 * fast:.1f} ms | 1/{slow / fast:.0f} |"
         )
 

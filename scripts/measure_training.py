@@ -1,4 +1,5 @@
-"""What training costs: by pass for each head and light, and in time and memory from 50 to 400 heads, with a plan for a million.
+"""What training costs: by pass for each head and light, and in time and memory from 50 to 400 heads, with a plan for a
+million.
 
 python scripts/measure_training.py --picture scaling.png
 python scripts/measure_training.py --processes
@@ -32,7 +33,8 @@ MILLION = 1_000_000
 
 
 def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
-    """Mean milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the rest of shading."""
+    """Mean milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the
+    rest of shading."""
     torch.set_num_threads(1)
     dataset = make_dataset(config)
     dataset.surface(0)  # opens the renderer
@@ -91,7 +93,8 @@ def trained(heads: int, options: list[str]) -> dict[str, float]:
 
 
 def shared(processes: int, folder: Path) -> tuple[float, float]:
-    """Seconds of rendering and solving ``configs/tiny.yaml`` under torchrun, and of the whole command; every process held to one thread."""
+    """Seconds of rendering and solving ``configs/tiny.yaml`` under torchrun, and of the whole command; every process
+    held to one thread."""
     config = Path(__file__).parents[1] / "configs" / "tiny.yaml"
     launcher = [
         sys.executable,
@@ -123,7 +126,8 @@ def two_processes(repeats: int) -> None:
     largest = max(float((one[name] - two[name]).abs().max()) for name in one)
     training, whole = (statistics.median(a[k] / b[k] for a, b in runs) for k in (0, 1))
     print(
-        f"two processes under torchrun, configs/tiny.yaml, medians of {repeats} pairs: rendering and solving {training:.2f} times as fast as"
+        f"two processes under torchrun, configs/tiny.yaml, medians of {repeats} pairs:"
+        f" rendering and solving {training:.2f} times as fast as"
     )
     print(f"one, the whole command {whole:.2f} times; largest difference of a statistic {largest:.1e}")
 
@@ -165,7 +169,8 @@ def main() -> None:
     )
     images = MILLION * len(config.directions()) * config.height * config.width * 4
     print(
-        f"\na head of the default config: {a_head / 1e3:.2f} s of one core; a million: {MILLION * a_head / 3.6e6:,.0f} core hours,"
+        f"\na head of the default config: {a_head / 1e3:.2f} s of one core;"
+        f" a million: {MILLION * a_head / 3.6e6:,.0f} core hours,"
     )
     print(f"{images / 1e12:.1f} TB of images; {86.4e6 / a_head:,.0f} heads a core and day")
     if args.picture:

@@ -1,8 +1,10 @@
-"""Relative error of a conditional mean against the condition number of its covariance: float32, the package, and 60-digit arithmetic.
+"""Relative error of a conditional mean against the condition number of its covariance: float32, the package, and
+60-digit arithmetic.
 
 python scripts/plot_conditioning.py --output conditioning.png
 
-The covariances are those of images under K = 4 lights that draw nearer to each other, as in the model: smooth terms and a narrow kernel.
+The covariances are those of images under K = 4 lights that draw nearer to each other, as in the model: smooth terms and
+a narrow kernel.
 """
 
 import argparse
@@ -18,7 +20,8 @@ from facerelight.numerics.gaussian import NumericalWarning, condition_gaussian
 
 
 def covariance(separation: float) -> mpmath.matrix:
-    """Joint covariance of one target and four inputs ``separation`` apart, in 60 digits, with the model's measurement variance."""
+    """Joint covariance of one target and four inputs ``separation`` apart, in 60 digits, with the model's measurement
+    variance."""
     place = [mpmath.mpf(3) / 10, *(k * mpmath.mpf(separation) for k in range(4))]
 
     def kernel(a: mpmath.mpf, b: mpmath.mpf) -> mpmath.mpf:
@@ -29,7 +32,8 @@ def covariance(separation: float) -> mpmath.matrix:
 
 
 def sweep() -> list[tuple[float, float, float]]:
-    """Condition number without the measurement variance, error of float32, error of the package; separations from 0.3 to 1e-7."""
+    """Condition number without the measurement variance, error of float32, error of the package; separations from 0.3
+    to 1e-7."""
     rows = []
     generator = np.random.default_rng(0)
     with mpmath.workdps(60):
@@ -83,7 +87,8 @@ def main() -> None:
         inside = [(p, o) for c, p, o in rows if low <= c < 1e3 * low]
         if inside:
             print(
-                f"condition {low:.0e} to {1e3 * low:.0e}: float32 {max(p for p, _ in inside):.1e}, facerelight {max(o for _, o in inside):.1e}"
+                f"condition {low:.0e} to {1e3 * low:.0e}: float32 {max(p for p, _ in inside):.1e},"
+                f" facerelight {max(o for _, o in inside):.1e}"
             )
 
 

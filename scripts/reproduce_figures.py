@@ -1,4 +1,5 @@
-"""Draw the counterparts of the thesis's figures from rendered heads, with an index page that says what each shows and whether it agrees.
+"""Draw the counterparts of the thesis's figures from rendered heads, with an index page that says what each shows and
+whether it agrees.
 
 python scripts/reproduce_figures.py --output figures/
 """
@@ -149,7 +150,8 @@ def methods(world: World, out: Path) -> list[tuple[str, str, str]]:
     axis.legend(fontsize=7)
     figure.savefig(out / "5.2.png")
     agrees = noise["MAP, raw"] > noise["MAP, filtered"] > noise["expected"]
-    steps = f"mean step between neighbouring pixels {noise['MAP, raw']:.1f}, {noise['MAP, filtered']:.1f}, {noise['expected']:.1f} grey levels"
+    steps = ", ".join(f"{noise[name]:.1f}" for name in ("MAP, raw", "MAP, filtered", "expected"))
+    steps = f"mean step between neighbouring pixels {steps} grey levels"
     return [
         (
             "5.1",
@@ -261,7 +263,8 @@ def groups(world: World, out: Path) -> list[tuple[str, str, str]]:
             else "differs: (5.2) as printed is not noisy"
         )
         verdict += "; with the right block inverted groups help" if errors["sample"][-1] < errors["sample"][0] else ""
-        text += f"; steps between neighbours at the largest r: as printed {noise[PRINTED][-1]:.1f}, block {noise['block'][-1]:.1f}"
+        text += f"; steps between neighbours at the largest r: as printed {noise[PRINTED][-1]:.1f}"
+        text += f", block {noise['block'][-1]:.1f}"
         said.append((name, f"Groups {what}, r = {', '.join(map(str, sizes))}; RMSE {text} grey levels.", verdict))
     return said
 
@@ -306,7 +309,8 @@ def main() -> None:
         entry for chapter in (chapter_4, methods, single_input, groups, poses) for entry in chapter(world, args.output)
     ]
     lines = [
-        "<!doctype html><meta charset=utf-8><title>The thesis's figures, drawn again</title><h1>The thesis's figures, drawn again</h1>"
+        "<!doctype html><meta charset=utf-8><title>The thesis's figures, drawn again</title>"
+        "<h1>The thesis's figures, drawn again</h1>"
     ]
     for name, what, verdict in entries:
         file = f"{name}.gif" if name == "moving_light" else f"{name}.png"

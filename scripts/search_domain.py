@@ -1,8 +1,9 @@
 """Find the rendered world's scalar settings on the training side of each fold of Extended Yale B: a coordinate search.
 
-For every candidate, heads are rendered under the data's lights and all people are relit from a frontal and from a side-lit image. A fold
-sees the errors of its training people alone (three quarters of all), and walks from the plain world of upright heads, exact landmarks and
-even lamps to the best value of one setting after another, twice through. "all" does the same with everybody, for use on other data.
+For every candidate, heads are rendered under the data's lights and all people are relit from a frontal and from a
+side-lit image. A fold sees the errors of its training people alone (three quarters of all), and walks from the plain
+world of upright heads, exact landmarks and even lamps to the best value of one setting after another, twice through.
+"all" does the same with everybody, for use on other data.
 
 python scripts/search_domain.py --data yaleb_192x168.npz --json domain.json
 """

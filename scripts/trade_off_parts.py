@@ -22,7 +22,8 @@ from facerelight.viewpoint.pose import BootstrapViews, ViewRelighter
 
 
 def peak_memory_mb(run: Callable[[], object]) -> float:
-    """Resident memory that ``run`` needs on top of what is there, in MB (Linux with glibc: the high-water mark is reset first)."""
+    """Resident memory that ``run`` needs on top of what is there, in MB (Linux with glibc: the high-water mark is reset
+    first)."""
 
     def status(field: str) -> int:
         with open("/proc/self/status") as file:
@@ -41,7 +42,8 @@ def peak_memory_mb(run: Callable[[], object]) -> float:
 def recognition(
     learned: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, targets: torch.Tensor, quick: bool
 ) -> list[dict[str, object]]:
-    """Individual PCA over ``people (N, J, H, W)``, each enrolled from one image lit from up to 70 degrees, probes under the ``targets``."""
+    """Individual PCA over ``people (N, J, H, W)``, each enrolled from one image lit from up to 70 degrees, probes under
+    the ``targets``."""
     relighter = StatisticalRelighter(learned, "face")
     generator = torch.Generator().manual_seed(0)
     front = (lights[:, 2] > 0.34).nonzero()[:, 0]
@@ -112,7 +114,8 @@ def recognition(
 
 
 def rendering(heads: int, lights: int) -> list[dict[str, object]]:
-    """Effects that a scene calls for against all of them, at the default config's size: time of an image and distance from all effects."""
+    """Effects that a scene calls for against all of them, at the default config's size: time of an image and distance
+    from all effects."""
     images: dict[str, torch.Tensor] = {}
     rows: list[dict[str, object]] = []
     for effects in ("all", "auto"):
@@ -138,7 +141,8 @@ def rendering(heads: int, lights: int) -> list[dict[str, object]]:
 
 
 def poses(quick: bool) -> list[dict[str, object]]:
-    """Other poses from three photographs: statistics of the thesis's 45 poses interpolated against rendering the pose that is asked for."""
+    """Other poses from three photographs: statistics of the thesis's 45 poses interpolated against rendering the pose
+    that is asked for."""
     heads, people, height, width = (6, 2, 24, 21) if quick else (60, 4, 48, 42)
     targets = TARGETS[4:5] if quick else TARGETS
     config = TrainConfig(heads=heads, height=height, width=width, supersample=1, fit=DEFAULT_CONFIG.fit)

@@ -1,4 +1,5 @@
-"""Train statistics from rendered heads, torch style: a Dataset, a DataLoader with workers, one ``update`` a subject, checkpoints, save.
+"""Train statistics from rendered heads, torch style: a Dataset, a DataLoader with workers, one ``update`` a subject,
+checkpoints, save.
 
     python scripts/train_statistics.py --config configs/paper.yaml --output statistics/paper
 

@@ -1,4 +1,5 @@
-"""Hard cases, each a row with the promise it keeps; README's table is printed from them (``python tests/test_hard_cases.py``)."""
+"""Hard cases, each a row with the promise it keeps; README's table is printed from them
+(``python tests/test_hard_cases.py``)."""
 
 import copy
 import warnings

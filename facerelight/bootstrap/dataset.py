@@ -50,7 +50,8 @@ class BootstrapDataset(Dataset[RenderedHead]):
         seed: of the paint; the heads have their own.
         effects: "auto" (only what each scene calls for), "all", or names; the images are the same for the first two.
         supersample: samples a pixel along each side, averaged.
-        pose: azimuth and elevation of the camera in degrees; a turned head stays at the size and place of its upright landmarks.
+        pose: azimuth and elevation of the camera in degrees; a turned head stays at the size and place of its upright
+            landmarks.
 
     A renderer is opened in the process (or worker) that first asks for an item.
     """

@@ -1,4 +1,5 @@
-"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin makes of light."""
+"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin
+makes of light."""
 
 from __future__ import annotations
 
@@ -51,7 +52,8 @@ class Domain:
 
 @dataclass(frozen=True)
 class Material:
-    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and ``side_light``."""
+    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and
+    ``side_light``."""
 
     specular: float
     roughness: float

@@ -1,6 +1,8 @@
-"""Heads to learn from: seeded random people of the packed CC0 model, scanned identities of ICT-FaceKit, or meshes of the user's own.
+"""Heads to learn from: seeded random people of the packed CC0 model, scanned identities of ICT-FaceKit, or meshes of
+the user's own.
 
-Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one unit apart.
+Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one
+unit apart.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ PIVOT = np.array((0.0, -0.3, -0.8))  # the middle of a head: turned about it, th
 class Head(NamedTuple):
     """A head mesh.
 
-    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint follows it);
-    ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth centre.
+    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint
+    follows it); ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth
+    centre.
     """
 
     vertices: np.ndarray
@@ -54,7 +57,8 @@ def _normalise(vertices: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray,
 
 
 class MakeHumanHeads:
-    """Random people from MakeHuman's morph targets (CC0, packed with the package): sex, age, origin, build, 100 local shapes, asymmetry.
+    """Random people from MakeHuman's morph targets (CC0, packed with the package): sex, age, origin, build, 100 local
+    shapes, asymmetry.
 
     Args:
         seed: another seed gives other people; person ``index`` depends on ``(seed, index)`` alone.
@@ -170,11 +174,12 @@ class IctHeads:
 
 
 class MeshFolder:
-    """Meshes of the user's own (.obj, .ply, .glb), each with marked points in ``NAME.points.txt``: one ``x y z`` a line, three or more.
+    """Meshes of the user's own (.obj, .ply, .glb), each with marked points in ``NAME.points.txt``: one ``x y z`` a
+    line, three or more.
 
-    The first three points are the eye centre at image-left, the one at image-right and the mouth centre; further ones (the thesis used
-    eight) must come in the same order for every mesh. A 3-D similarity takes the points to those of the first mesh, which itself is
-    placed by its first three points (4.2.1).
+    The first three points are the eye centre at image-left, the one at image-right and the mouth centre; further ones
+    (the thesis used eight) must come in the same order for every mesh. A 3-D similarity takes the points to those of
+    the first mesh, which itself is placed by its first three points (4.2.1).
     """
 
     SUFFIXES = (".obj", ".ply", ".glb")
@@ -231,7 +236,8 @@ class MeshFolder:
 
 
 def fit_similarity_3d(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Least-squares similarity between ``(N, 3)`` point sets (Umeyama 1991): scale, rotation ``(3, 3)``, translation ``(3,)``."""
+    """Least-squares similarity between ``(N, 3)`` point sets (Umeyama 1991): scale, rotation ``(3, 3)``, translation
+    ``(3,)``."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, d, vt = np.linalg.svd(b.T @ a)
     if d[1] < 1e-9 * max(d[0], 1e-30):
@@ -264,7 +270,8 @@ def rotate(head: Head, azimuth: float, elevation: float) -> Head:
 
 
 def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
-    """How a person happens to stand before the camera: looking up and turned a little, the landmarks marked a little off."""
+    """How a person happens to stand before the camera: looking up and turned a little, the landmarks marked a little
+    off."""
     aside, up = domain.turn * rng.standard_normal(2).clip(-2, 2)
     marked = domain.misalign * rng.standard_normal((3, 3)) * (1, 1, 0)
     turned = rotate(head, aside, up - domain.pitch)
@@ -272,7 +279,8 @@ def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
 
 
 def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:
-    """Scale and shift a head so that its landmarks fall, least squares, on the crop's; one unit is then one pixel, origin the crop's centre.
+    """Scale and shift a head so that its landmarks fall, least squares, on the crop's; one unit is then one pixel,
+    origin the crop's centre.
 
     Args:
         head: as a source gives it, or turned.

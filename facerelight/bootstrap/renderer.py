@@ -1,8 +1,8 @@
 """Geometry buffers and light-side depth maps, rendered headless by pyrender in linear float32.
 
-pyrender's own output is 8 bits, gamma coded and clamped (fit for viewing, not for statistics), so this module keeps pyrender's scene,
-camera, mesh and EGL machinery and replaces the shader and the framebuffer: every pass writes plain float32 values and reads them back.
-Nothing else in the package touches OpenGL.
+pyrender's own output is 8 bits, gamma coded and clamped (fit for viewing, not for statistics), so this module keeps
+pyrender's scene, camera, mesh and EGL machinery and replaces the shader and the framebuffer: every pass writes plain
+float32 values and reads them back. Nothing else in the package touches OpenGL.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import tempfile
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,8 @@ try:
     from pyrender.shader_program import ShaderProgramCache
 except (ImportError, AttributeError, OSError) as error:  # PyOpenGL raises any of these where libEGL is absent
     raise RuntimeError(
-        f"rendering needs EGL, which could not be loaded ({error}); on Debian: apt-get install -y libegl1 libgl1 libxrender1"
+        f"rendering needs EGL, which could not be loaded ({error});"
+        " on Debian: apt-get install -y libegl1 libgl1 libxrender1"
     ) from error
 
 VERTEX_SHADER = """#version 330 core
@@ -61,7 +62,8 @@ void main() {}
 
 
 class Geometry(NamedTuple):
-    """What the camera sees: ``position``, ``normal`` ``(H, W, 3)``, ``attribute`` ``(H, W, 4)`` and ``inside`` ``(H, W)`` bool."""
+    """What the camera sees: ``position``, ``normal`` ``(H, W, 3)``, ``attribute`` ``(H, W, 4)`` and ``inside``
+    ``(H, W)`` bool."""
 
     position: np.ndarray
     normal: np.ndarray
@@ -81,7 +83,7 @@ class _OneProgram(ShaderProgramCache):
             self.program = super().get_program(str(vertex_path), str(fragment_path))
             self.program._load = {str(vertex_path): VERTEX_SHADER, str(fragment_path): fragment}.__getitem__
 
-    def get_program(self, vertex_shader, fragment_shader, geometry_shader=None, defines=None):  # type: ignore[no-untyped-def]
+    def get_program(self, *_: Any, **__: Any) -> Any:
         return self.program
 
 
@@ -188,8 +190,8 @@ class MeshRenderer:
     def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None) -> np.ndarray:
         """The nearest surface seen from a light: heights along it; where nothing is, ten extents below the origin.
 
-        Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``, ``y = (1 - (i + 0.5) / S * 2) * extent`` of
-        :meth:`light_frame`.
+        Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``,
+        ``y = (1 - (i + 0.5) / S * 2) * extent`` of :meth:`light_frame`.
 
         Args:
             light: unit vector ``(3,)``.
@@ -207,7 +209,8 @@ class MeshRenderer:
         return renderer.render(scene, flags if renderer.targets else flags | pyrender.RenderFlags.DEPTH_ONLY)
 
     def close(self) -> None:
-        """Release the OpenGL context; other renderers of the process keep theirs (pyrender's own clean-up would end them all)."""
+        """Release the OpenGL context; other renderers of the process keep theirs (pyrender's own clean-up would end
+        them all)."""
         self._context.make_current()
         self._camera.delete()
         self._light.delete()

@@ -1,7 +1,9 @@
-"""One head under one light: which effects can change a pixel, and the image they give. Only those effects are simulated.
+"""One head under one light: which effects can change a pixel, and the image they give. Only those effects are
+simulated.
 
-Effects: ``attached`` shadow (surface turned from the light), ``cast`` shadow (something stands in the way), ``specular`` highlight,
-``ambient`` fill. Geometry and albedo are rendered once a head; a cast-shadow pass is rendered a light, of the triangles that matter.
+Effects: ``attached`` shadow (surface turned from the light), ``cast`` shadow (something stands in the way),
+``specular`` highlight, ``ambient`` fill. Geometry and albedo are rendered once a head; a cast-shadow pass is rendered a
+light, of the triangles that matter.
 """
 
 from __future__ import annotations
@@ -44,9 +46,10 @@ CLIFF = 2.5  # steeper relief than this may be, whatever the light's direction
 class Relief(NamedTuple):
     """The head's front as a height map in cells; bounds what can stand between a visible point and a light.
 
-    ``highest (R, C)`` of each cell and those around it; ``slope (4, R, C)``, its steepest rise towards +x, -x, +y and -y; ``cliff
-    (R, C)``, where it is steep in any direction; ``step``, a cell's side in mesh units; ``corner (2,)``, column and row of the map's
-    origin, counted from the first cell; ``radius``, cells from there to the farthest visible pixel.
+    ``highest (R, C)`` of each cell and those around it; ``slope (4, R, C)``, its steepest rise towards +x, -x, +y and
+    -y; ``cliff (R, C)``, where it is steep in any direction; ``step``, a cell's side in mesh units; ``corner (2,)``,
+    column and row of the map's origin, counted from the first cell; ``radius``, cells from there to the farthest
+    visible pixel.
     """
 
     highest: np.ndarray
@@ -60,7 +63,8 @@ class Relief(NamedTuple):
 class Surface(NamedTuple):
     """What the camera sees of a painted head, at its P visible pixels.
 
-    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; and the head's :class:`Relief`.
+    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; and the head's
+    :class:`Relief`.
     """
 
     position: Tensor
@@ -72,7 +76,8 @@ class Surface(NamedTuple):
 
 
 class EffectPlan(NamedTuple):
-    """What must be simulated for one (head, light): ``effects``, and at which pixels: ``cast``, ``specular`` ``(P,)`` bool."""
+    """What must be simulated for one (head, light): ``effects``, and at which pixels: ``cast``, ``specular`` ``(P,)``
+    bool."""
 
     effects: frozenset[str]
     cast: Tensor
@@ -80,7 +85,8 @@ class EffectPlan(NamedTuple):
 
 
 def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
-    """Render a head's geometry once, paint it, and map its relief; ``renderer`` keeps the mesh for the light passes of :func:`shade`."""
+    """Render a head's geometry once, paint it, and map its relief; ``renderer`` keeps the mesh for the light passes of
+    :func:`shade`."""
     features = np.concatenate((head.reference, head.is_eye[:, None]), 1)
     renderer.load(head.vertices, head.normals(), head.triangles, features)
     seen = renderer.geometry()
@@ -94,7 +100,8 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
 
 
 def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
-    """The relief seen along the camera axis, pooled from a depth pass over the whole head; ``position`` of the visible pixels."""
+    """The relief seen along the camera axis, pooled from a depth pass over the whole head; ``position`` of the visible
+    pixels."""
     factor = renderer.shadow_size // RELIEF_SIZE
     texel = 2 * renderer.extent / renderer.shadow_size
     step = factor * texel
@@ -174,9 +181,10 @@ def plan_effects(
 def _possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     """Pixels that something might hide from the light.
 
-    A ray towards a light in front of the face rises ``slope`` for every unit it moves sideways, and all of the head lies at or below the
-    visible relief. So a point can be hidden only where, on its way, the relief climbs faster than that nearby, or stands higher than the
-    ray farther off. The relief is turned so that its rows run towards the light; a running maximum along them then finds both.
+    A ray towards a light in front of the face rises ``slope`` for every unit it moves sideways, and all of the head
+    lies at or below the visible relief. So a point can be hidden only where, on its way, the relief climbs faster than
+    that nearby, or stands higher than the ray farther off. The relief is turned so that its rows run towards the light;
+    a running maximum along them then finds both.
     """
     relief = surface.relief
     sideways = float(torch.linalg.vector_norm(light[:2]))
@@ -224,8 +232,8 @@ def _half(light: Tensor) -> Tensor:
 
 
 def _highlight(normal: Tensor, light: Tensor, material: Material) -> Tensor:
-    """Radiance that a rough dielectric surface reflects to the viewer (Torrance and Sparrow 1967): Beckmann facets, Schlick's Fresnel term
-    and V grooves, scaled like the rest: a white matte surface facing the light has 1.
+    """Radiance that a rough dielectric surface reflects to the viewer (Torrance and Sparrow 1967): Beckmann facets,
+    Schlick's Fresnel term and V grooves, scaled like the rest: a white matte surface facing the light has 1.
 
     Args:
         normal: ``(P, 3)``, facing the light.
@@ -259,7 +267,8 @@ def shade(
     renderer: MeshRenderer,
     work: Counter[str] | None = None,
 ) -> Tensor:
-    """Linear radiance of ``surface`` under one light, ``(H, W)``, black where no head is; a white matte surface facing the light has 1.
+    """Linear radiance of ``surface`` under one light, ``(H, W)``, black where no head is; a white matte surface facing
+    the light has 1.
 
     ``work`` counts, by effect, passes run and skipped and the pixels they touched.
     """
@@ -330,7 +339,8 @@ def _visibility(surface: Surface, light: Tensor, plan: EffectPlan, renderer: Mes
 
 
 def _filtered(height: Tensor, row: Tensor, column: Tensor, least: Tensor, texel: float) -> Tensor:
-    """Percentage-closer filter: the share of the texels around each point whose height does not exceed ``least``, softened over a texel."""
+    """Percentage-closer filter: the share of the texels around each point whose height does not exceed ``least``,
+    softened over a texel."""
     taps = torch.arange(-SOFTNESS, SOFTNESS + 1.0)[:, None]
     rows, columns = row.round() + taps, column.round() + taps  # (5, P)
     weight = _box(rows - row)[:, None] * _box(columns - column)[None]

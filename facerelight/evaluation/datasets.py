@@ -19,8 +19,9 @@ __all__ = ["FaceImages", "load_pie", "load_yale", "to_grid"]
 class FaceImages(NamedTuple):
     """Photographs of people under single lights, in linear radiance.
 
-    ``images (M, H, W)`` float32 in 0..1; ``subject (M,)`` and ``light (M,)`` indices; ``lights (J, 3)``; ``angles (J, 2)`` azimuth and
-    elevation in degrees; ``subset (M,)``: 1 to 5 by the light's angle from the camera axis (0 where not defined); ``names`` of subjects.
+    ``images (M, H, W)`` float32 in 0..1; ``subject (M,)`` and ``light (M,)`` indices; ``lights (J, 3)``;
+    ``angles (J, 2)`` azimuth and elevation in degrees; ``subset (M,)``: 1 to 5 by the light's angle from the camera
+    axis (0 where not defined); ``names`` of subjects.
     """
 
     images: Tensor
@@ -35,8 +36,9 @@ class FaceImages(NamedTuple):
 def load_yale(path: str | Path, height: int = 96, width: int = 84) -> FaceImages:
     """Extended Yale B, cropped: the ``.npz`` file or a CroppedYale folder (``yaleB01/yaleB01_P00A+035E+40.pgm``).
 
-    A positive azimuth is a light from image-left. Images of the ``.npz`` that are marked as bad captures, and files that end in ``.bad``
-    or hold no light (``Ambient``), are left out. Images are shrunk by area averages to ``height x width``.
+    A positive azimuth is a light from image-left. Images of the ``.npz`` that are marked as bad captures, and files
+    that end in ``.bad`` or hold no light (``Ambient``), are left out. Images are shrunk by area averages to
+    ``height x width``.
     """
     path = Path(path)
     if path.is_dir():
@@ -90,7 +92,8 @@ def load_pie(path: str | Path) -> FaceImages:
 
 
 def to_grid(faces: FaceImages) -> tuple[Tensor, Tensor]:
-    """Arrange the photographs as ``images (N, J, H, W)``, zero where missing, and ``valid (N, J)``, for :meth:`FaceStatistics.fit`."""
+    """Arrange the photographs as ``images (N, J, H, W)``, zero where missing, and ``valid (N, J)``, for
+    :meth:`FaceStatistics.fit`."""
     people, lights = len(faces.names), len(faces.lights)
     images = torch.zeros(people, lights, *faces.images.shape[1:])
     valid = torch.zeros(people, lights, dtype=torch.bool)

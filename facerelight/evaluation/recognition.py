@@ -62,7 +62,8 @@ def training_lights(
     Args:
         faces: the data.
         people: the gallery.
-        case: "front", "side" (azimuth +70), "same" (each light in turn for everybody), "random", or "random-mild" (subsets 1 to 4).
+        case: "front", "side" (azimuth +70), "same" (each light in turn for everybody), "random", or "random-mild"
+            (subsets 1 to 4).
         draws: galleries drawn in the random cases.
         seed: of the draws.
     """
@@ -101,8 +102,8 @@ def evaluate_galleries(
 ) -> dict[str, list[Tally]]:
     """Fit every classifier to every gallery and count right answers over all other images of its people.
 
-    Where a person's score depends on nobody else, each training image is enrolled and compared with all images once, however many
-    galleries it is in.
+    Where a person's score depends on nobody else, each training image is enrolled and compared with all images once,
+    however many galleries it is in.
 
     Args:
         faces: the data.
@@ -142,7 +143,8 @@ def _score_tables(
     classifiers: list[str],
     how: Enrolment,
 ) -> dict[str, tuple[Tensor, float]]:
-    """Scores of all M images for every training image in ``galleries``, ``(M, people, lights)``, and seconds a comparison, by name."""
+    """Scores of all M images for every training image in ``galleries``, ``(M, people, lights)``, and seconds a
+    comparison, by name."""
     wanted: dict[int, set[int]] = defaultdict(set)
     for gallery in galleries:
         for person, light in gallery.items():

@@ -24,8 +24,8 @@ SOURCES = {"front": (0.0, 0.0), "side": (70.0, 0.0)}
 
 
 class Scores(NamedTuple):
-    """Per relit image: ``rmse (M,)`` in grey levels after clamping to 0..255, ``ssim (M,)``, ``subset (M,)``, ``shadow (M,)`` RMSE inside
-    the input's shadow (NaN where the target is not frontal)."""
+    """Per relit image: ``rmse (M,)`` in grey levels after clamping to 0..255, ``ssim (M,)``, ``subset (M,)``,
+    ``shadow (M,)`` RMSE inside the input's shadow (NaN where the target is not frontal)."""
 
     rmse: Tensor
     ssim: Tensor
@@ -45,7 +45,8 @@ class Scores(NamedTuple):
 
 
 def held_out_lights(faces: FaceImages) -> Tensor:
-    """The lights that **yale-relight-newlights** keeps out of the statistics, ``(J,)`` bool: every fifth, never a source light."""
+    """The lights that **yale-relight-newlights** keeps out of the statistics, ``(J,)`` bool: every fifth, never a
+    source light."""
     out = torch.zeros(len(faces.lights), dtype=torch.bool)
     out[2::5] = True  # the lights come sorted by azimuth, then elevation
     for angles in SOURCES.values():
@@ -75,7 +76,8 @@ def _score(relit: Tensor, truth: Tensor, subset: Tensor, source: Tensor, frontal
 
 
 def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targets: Tensor) -> dict[str, Tensor]:
-    """What one does without a model: copy the input; the average face; the input times the ratio of smoothed average faces.
+    """What one does without a model: copy the input; the average face; the input times the ratio of smoothed average
+    faces.
 
     Args:
         mean_images: ``(J, H, W)``, the bootstrap's average face under each light.
@@ -93,13 +95,15 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
 
 
 def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str, detail: float = 0.0) -> Tensor:
-    """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none; whole-face model.
+    """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none;
+    whole-face model.
 
     Args:
         statistics: of other people, or of rendered heads.
         faces: the data.
         case: "front" or "side", the input's light.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.inference.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see
+            :func:`facerelight.inference.detail.keep_detail`.
     """
     images, valid = to_grid(faces)
     source = _light_index(faces, SOURCES[case])
@@ -127,7 +131,8 @@ def evaluate_folds(
 ) -> tuple[dict[str, dict[str, Scores]], dict[str, float]]:
     """Protocols **yale-relight** and **yale-relight-newlights**.
 
-    Subjects are sorted; fold f tests those of rank f modulo ``folds`` with statistics made by ``make(images, lights, valid)`` from the rest.
+    Subjects are sorted; fold f tests those of rank f modulo ``folds`` with statistics made by
+    ``make(images, lights, valid)`` from the rest.
 
     Args:
         faces: photographs under labelled lights.
@@ -137,10 +142,12 @@ def evaluate_folds(
         new_lights: learn without the lights that are then asked for.
         estimated: estimate the input's light instead of taking its label.
         register: find where each face lies beside the model's.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.inference.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see
+            :func:`facerelight.inference.detail.keep_detail`.
 
     Returns:
-        Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light estimation.
+        Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light
+        estimation.
     """
     images, valid = to_grid(faces)
     held_out = held_out_lights(faces) if new_lights else torch.zeros(len(faces.lights), dtype=torch.bool)

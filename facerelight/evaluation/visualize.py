@@ -18,7 +18,8 @@ matplotlib.rcParams["figure.dpi"] = 110
 def contact_sheet(
     images: Sequence[Sequence[np.ndarray]], titles: Sequence[Sequence[str]], path: str | Path, height: float = 1.9
 ) -> None:
-    """Rows of pictures ``(H, W, 3)`` or grey ``(H, W)`` in 0..255 or 0..1, each under its title, written to ``path``."""
+    """Rows of pictures ``(H, W, 3)`` or grey ``(H, W)`` in 0..255 or 0..1, each under its title, written to
+    ``path``."""
     rows, columns = len(images), max(len(row) for row in images)
     first = images[0][0]
     figure = Figure(

@@ -28,7 +28,8 @@ CANONICAL_LANDMARKS = ((35.0, 46.0), (131.0, 46.0), (84.0, 150.0))
 
 @dataclass(frozen=True)
 class CropFrame:
-    """A crop of ``height`` x ``width`` pixels around the canonical one, with ``margin`` (a fraction of its size) more on every side.
+    """A crop of ``height`` x ``width`` pixels around the canonical one, with ``margin`` (a fraction of its size) more
+    on every side.
 
     Example:
         >>> CropFrame(96, 84).landmarks.tolist()[0]
@@ -60,7 +61,8 @@ class CropFrame:
         return (torch.tensor(CANONICAL_LANDMARKS, dtype=torch.float64) - centre) * self.scale + own_centre
 
     def oval(self) -> Tensor:
-        """Distance from the middle of the face in units of its outline, ``(height, width)``: 1 runs from hairline to chin."""
+        """Distance from the middle of the face in units of its outline, ``(height, width)``: 1 runs from hairline to
+        chin."""
         eyes = self.landmarks[:2]
         middle, unit = eyes.mean(0), float(eyes[1, 0] - eyes[0, 0])
         y, x = torch.meshgrid(torch.arange(self.height), torch.arange(self.width), indexing="ij")
@@ -70,7 +72,8 @@ class CropFrame:
 
 
 def fit_similarity(source: Tensor, target: Tensor) -> Tensor:
-    """The least-squares similarity that takes ``source`` points to ``target`` points, in closed form (Umeyama 1991), no reflection.
+    """The least-squares similarity that takes ``source`` points to ``target`` points, in closed form (Umeyama 1991), no
+    reflection.
 
     Args:
         source: ``(..., N, 2)`` points, N >= 2.

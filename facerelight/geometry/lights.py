@@ -1,7 +1,8 @@
 """Light directions: angles and unit vectors, sampling designs, moments and quadrature over the hemisphere of lights.
 
-A light is a unit 3-vector that points from the face to the light: x to image-right, y up, z to the viewer. Angles are in degrees:
-positive azimuth is a light from image-LEFT (hence the minus sign of eq. 4.1), positive elevation a light from above.
+A light is a unit 3-vector that points from the face to the light: x to image-right, y up, z to the viewer. Angles are
+in degrees: positive azimuth is a light from image-LEFT (hence the minus sign of eq. 4.1), positive elevation a light
+from above.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ def light_from_angles(azimuth: Tensor | float, elevation: Tensor | float) -> Ten
 
 
 def angles_from_light(light: Tensor) -> tuple[Tensor, Tensor]:
-    """Azimuth and elevation in degrees of light vectors ``(..., 3)`` of any positive length; the inverse of :func:`light_from_angles`.
+    """Azimuth and elevation in degrees of light vectors ``(..., 3)`` of any positive length; the inverse of
+    :func:`light_from_angles`.
 
     At the two poles, straight above and below, azimuth is undefined and 0 is returned.
 
@@ -87,7 +89,8 @@ def unit_lights(lights: Tensor) -> Tensor:
 
 
 def angular_distance(a: Tensor, b: Tensor) -> Tensor:
-    """Angle in degrees between lights ``(..., 3)``; exact to rounding for nearly equal and for opposite lights alike."""
+    """Angle in degrees between lights ``(..., 3)``; exact to rounding for nearly equal and for opposite lights
+    alike."""
     a, b = unit_lights(a), unit_lights(b)
     half = torch.linalg.vector_norm(a - b, dim=-1), torch.linalg.vector_norm(a + b, dim=-1)
     return torch.rad2deg(2 * torch.atan2(*half))
@@ -99,7 +102,8 @@ def nearest_lights(wanted: Tensor, lights: Tensor) -> Tensor:
 
 
 def thesis_grid() -> Tensor:
-    """The thesis's 101 lights (4.2.1): 10 x 10 angles from -90 to 90 in steps of 20, and the frontal light last; ``(101, 3)``.
+    """The thesis's 101 lights (4.2.1): 10 x 10 angles from -90 to 90 in steps of 20, and the frontal light last;
+    ``(101, 3)``.
 
     Each pole stands in it ten times; :func:`merge_repeats` leaves 83 directions.
     """
@@ -107,7 +111,8 @@ def thesis_grid() -> Tensor:
 
 
 def angle_grid(count: int = 30) -> Tensor:
-    """``count * count`` lights, evenly spaced in azimuth and elevation from -90 to 90 degrees (6.3 uses 30); poles repeat."""
+    """``count * count`` lights, evenly spaced in azimuth and elevation from -90 to 90 degrees (6.3 uses 30); poles
+    repeat."""
     if count < 2:
         raise ValueError(f"count: expected at least 2, got {count}")
     angles = torch.linspace(-90.0, 90.0, count, dtype=torch.float64)
@@ -151,9 +156,11 @@ def hemisphere_moments() -> tuple[Tensor, Tensor]:
 
 
 def hemisphere_quadrature(order: int = 12) -> tuple[Tensor, Tensor]:
-    """Nodes ``(Q, 3)`` and weights ``(Q,)``, which sum to 1, for means over the uniform hemisphere; ``Q = 2 * order**2``.
+    """Nodes ``(Q, 3)`` and weights ``(Q,)``, which sum to 1, for means over the uniform hemisphere;
+    ``Q = 2 * order**2``.
 
-    Gauss-Legendre along the camera axis times equal steps around it: exact for polynomials of the light up to degree ``2 order - 1``.
+    Gauss-Legendre along the camera axis times equal steps around it: exact for polynomials of the light up to degree
+    ``2 order - 1``.
 
     Example:
         >>> nodes, weights = hemisphere_quadrature(4)

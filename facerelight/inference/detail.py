@@ -1,8 +1,9 @@
 """Fine detail: what a photograph shows at scales finer than shading is kept in its relit images.
 
-The conditional mean of a pixel leans on its prior where the input is dark, and pores, lashes and stubble fade with it. But detail this fine
-is mostly pigment, which multiplies whatever light there is. So a relit image is split into a base and a detail layer (Durand and Dorsey
-2002), and its detail is exchanged for the photograph's. An image relit to its own light stays as it is.
+The conditional mean of a pixel leans on its prior where the input is dark, and pores, lashes and stubble fade with it.
+But detail this fine is mostly pigment, which multiplies whatever light there is. So a relit image is split into a base
+and a detail layer (Durand and Dorsey 2002), and its detail is exchanged for the photograph's. An image relit to its own
+light stays as it is.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
     Args:
         relit: ``(..., Q, H, W)`` linear radiance.
         photo: ``(..., H, W)``, what they were relit from, in the same place.
-        strength: a, from 0 (leave the images alone) to 1 (all detail is the photograph's). A half has the smallest error, since some of the
-            detail is shading; recognition wants all of it.
+        strength: a, from 0 (leave the images alone) to 1 (all detail is the photograph's). A half has the smallest
+            error, since some of the detail is shading; recognition wants all of it.
 
     Returns:
         Images like ``relit``, without negative radiance.

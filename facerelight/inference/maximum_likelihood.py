@@ -1,4 +1,5 @@
-"""The special case of a fixed, unknown n (3.5.1): at least three inputs under known, independent lights tell it without a prior."""
+"""The special case of a fixed, unknown n (3.5.1): at least three inputs under known, independent lights tell it without
+a prior."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ class MaximumLikelihood:
         condition = float(singular[0] / singular[-1]) if len(lights) >= 3 and singular[-1] > 0 else float("inf")
         if condition > LARGEST_CONDITION:
             raise ValueError(
-                f"method='mle': expected at least 3 input images under lights that do not lie in one plane, got {len(lights)} with"
-                f" condition number {condition:.3g}; give more lights or use method='expected'"
+                f"method='mle': expected at least 3 input images under lights that do not lie in one plane,"
+                f" got {len(lights)} with condition number {condition:.3g}; give more lights or use method='expected'"
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
         self.factor = gaussian.safe_cholesky(
@@ -55,8 +56,8 @@ class MaximumLikelihood:
     def render(self, target: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and variance ``(P,)`` under one light ``(3,)``.
 
-        The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an input light:
-        ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
+        The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
+        input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
         """
         statistics, pixel = self.statistics, self.statistics.pixel
         assert pixel is not None

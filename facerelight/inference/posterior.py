@@ -1,4 +1,5 @@
-"""What is known of one face after its images are seen: condition once, render any light at the cost of linear algebra."""
+"""What is known of one face after its images are seen: condition once, render any light at the cost of linear
+algebra."""
 
 from __future__ import annotations
 
@@ -44,7 +45,8 @@ class Components(NamedTuple):
 
 
 class _Evidence(NamedTuple):
-    """One light hypothesis: input lights' terms, ``g = R_yy^-1 (y - mu_y)`` ``(K, P)`` and the factor of ``R_yy`` ``(P, K, K)``."""
+    """One light hypothesis: input lights' terms, ``g = R_yy^-1 (y - mu_y)`` ``(K, P)`` and the factor of ``R_yy``
+    ``(P, K, K)``."""
 
     terms: LightTerms
     solved: Tensor
@@ -61,7 +63,8 @@ class PersonPosterior:
         images: ``(K, H, W)``.
         hypotheses: ``(M, K, 3)`` input lights; a zero light takes its image out of the evidence.
         covariance: "pixel" or "face".
-        mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face code.
+        mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face
+            code.
     """
 
     def __init__(
@@ -127,13 +130,15 @@ class PersonPosterior:
         self.pull += share * ((learned * shared).sum(1) + unique * own)
 
     def _unique(self) -> Tensor:
-        """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``; worked out once."""
+        """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``;
+        worked out once."""
         if self._left is None:
             self._left = 1 - self.pixel.v_factor.flatten(2).square().sum(1)
         return self._left
 
     def _gain(self, images: Tensor, expected: Tensor, weights: Tensor) -> float:
-        """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as its noise demands."""
+        """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as
+        its noise demands."""
         spread = float(self.statistics.gain_spread)
         if spread == 0:
             return 1.0
@@ -150,7 +155,8 @@ class PersonPosterior:
         self.v_map += share * (face.basis.T @ torch.tensordot(code, face.v.flatten(2), 1))
 
     def explained(self) -> Tensor:
-        """What the average face and the whole-face code make of the inputs, up to brightness, without any pixel's own deviation, ``(K, P)``."""
+        """What the average face and the whole-face code make of the inputs, up to brightness, without any pixel's own
+        deviation, ``(K, P)``."""
         evidence = self.evidence[0]
         image = prior_mean(self.statistics, evidence.terms.light)
         if self.face is not None:
@@ -160,7 +166,8 @@ class PersonPosterior:
         return image
 
     def mean(self, targets: Tensor) -> Tensor:
-        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input lights.
+        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input
+        lights.
 
         By blocks of pixels: what a block needs stays in the cache, which makes this as fast as the bare products.
         """
@@ -184,13 +191,15 @@ class PersonPosterior:
         return image
 
     def _near(self, targets: Tensor, evidence: _Evidence) -> tuple[Tensor, Tensor]:
-        """Which targets lie near the input lights, and their kernel values ``(Q', K)`` float64 times this hypothesis's share."""
+        """Which targets lie near the input lights, and their kernel values ``(Q', K)`` float64 times this hypothesis's
+        share."""
         kernel = self.statistics.nugget(targets, evidence.terms.light)
         rows = (kernel.amax(1) > NEAR).nonzero()[:, 0]
         return rows, kernel[rows].double() * (evidence.gain * (1 - self.prior_share) / len(self.evidence))
 
     def _narrow(self, targets: Tensor, kernel: Tensor, evidence: _Evidence, pixels: slice) -> Tensor:
-        """``sigma(s) tau(s) sum_k k(s, s_k) tau(s_k) sigma_v(s_k) g_k`` (4.3), and the like for the loadings' lost variance."""
+        """``sigma(s) tau(s) sum_k k(s, s_k) tau(s_k) sigma_v(s_k) g_k`` (4.3), and the like for the loadings' lost
+        variance."""
         terms = evidence.terms
         narrow, lost = narrow_terms(self.statistics, self.pixel, targets, self.face, pixels)
         term = narrow * (kernel @ (terms.narrow * evidence.solved)[:, pixels])
@@ -199,7 +208,8 @@ class PersonPosterior:
         return term.to(self.n_map)
 
     def variance(self, targets: Tensor) -> Tensor:
-        """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of their means."""
+        """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of
+        their means."""
         rows = []
         for target in targets:
             mean, variance, weight = self.components(target)
@@ -208,13 +218,15 @@ class PersonPosterior:
         return torch.stack(rows)
 
     def mode(self, targets: Tensor) -> Tensor:
-        """The most probable grey level under ``targets (Q, 3)`` (Algorithm 1, evaluated exactly), ``(Q, P)``; one hypothesis: the mean."""
+        """The most probable grey level under ``targets (Q, 3)`` (Algorithm 1, evaluated exactly), ``(Q, P)``; one
+        hypothesis: the mean."""
         if len(self.evidence) + (self.prior_share > 0) == 1:
             return self.mean(targets)
         return torch.stack([mixture_mode(*self.components(target)).to(target) for target in targets])
 
     def components(self, target: Tensor) -> Components:
-        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis (3.6)."""
+        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis
+        (3.6)."""
         target = target[None]
         terms = light_terms(self.statistics, self.pixel, target, self.face)
         prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0, 0]  # (P,)
@@ -257,11 +269,13 @@ class Posterior:
         self.deformations = deformations
 
     def mean(self, target_lights: Tensor) -> Tensor:
-        """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or ``(B, Q, 3)``."""
+        """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or
+        ``(B, Q, 3)``."""
         return self._render("mean", target_lights)
 
     def mode(self, target_lights: Tensor) -> Tensor:
-        """The most probable image (Algorithm 1) instead of the expected one, ``(B, Q, H, W)``; the same where the lights are known."""
+        """The most probable image (Algorithm 1) instead of the expected one, ``(B, Q, H, W)``; the same where the
+        lights are known."""
         return self._render("mode", target_lights)
 
     def variance(self, target_lights: Tensor) -> Tensor:

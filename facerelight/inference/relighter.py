@@ -25,11 +25,13 @@ Covariance = Literal["pixel", "face"]
 
 
 class StatisticalRelighter(nn.Module):
-    """Render faces under new lights as the conditional mean of a Gaussian model learned from other faces (3.17, Algorithm 2).
+    """Render faces under new lights as the conditional mean of a Gaussian model learned from other faces (3.17,
+    Algorithm 2).
 
     Args:
         statistics: what the bootstrap taught; its maps are registered buffers of this module.
-        covariance: "pixel" treats every pixel on its own, as the thesis does; "face" adds a code shared by the whole face.
+        covariance: "pixel" treats every pixel on its own, as the thesis does; "face" adds a code shared by the whole
+            face.
         estimator: finds the input lights where they are not given.
 
     Example:
@@ -68,15 +70,18 @@ class StatisticalRelighter(nn.Module):
         """The expensive half, once: what is known of each person after seeing the images.
 
         Args:
-            images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics' size.
-            source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes its image out of
-                the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown, and are estimated and integrated over.
+            images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics'
+                size.
+            source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes
+                its image out of the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown,
+                and are estimated and integrated over.
             estimator: finds unknown lights; default: the module's own.
             draws: samples of each unknown light (Algorithm 2).
             generator: makes the samples another set; by default they are the same at every call.
-            mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity. None: everywhere.
-            register: find where each face lies beside the model's, and render it there; for statistics of real, aligned faces
-                (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
+            mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity.
+                None: everywhere.
+            register: find where each face lies beside the model's, and render it there; for statistics of real, aligned
+                faces (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
 
         Raises:
             ValueError: shapes or values out of range.
@@ -154,11 +159,13 @@ class StatisticalRelighter(nn.Module):
         Args:
             images, source_lights, estimator, draws, generator: see :meth:`condition`.
             target_lights: unit vectors.
-            method: "expected", the mean image (Algorithm 2; with known lights 3.17); "map", the most probable grey levels (Algorithm 1);
-                "mle", n fixed and unknown (3.19, 3.20), for three or more known lights that are not in one plane.
+            method: "expected", the mean image (Algorithm 2; with known lights 3.17); "map", the most probable grey
+                levels (Algorithm 1); "mle", n fixed and unknown (3.19, 3.20), for three or more known lights that are
+                not in one plane.
 
         Returns:
-            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype; with "map", ``mean`` holds the mode.
+            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype; with "map", ``mean``
+            holds the mode.
         """
         if method not in RELIGHTING_METHODS:
             raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
@@ -189,22 +196,26 @@ class StatisticalRelighter(nn.Module):
         height, width = self.statistics.size
         if images.dim() != 4 or tuple(images.shape[2:]) != (height, width):
             raise ValueError(
-                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)}; align photos with facerelight.geometry.alignment first"
+                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)};"
+                " align photos with facerelight.geometry.alignment first"
             )
         if not images.is_floating_point():
             raise ValueError(
-                f"images: expected floating linear radiance in 0..1, got {images.dtype}; divide by 255 and decode sRGB first"
+                f"images: expected floating linear radiance in 0..1, got {images.dtype};"
+                " divide by 255 and decode sRGB first"
             )
         if not torch.isfinite(images).all():
             raise ValueError("images: expected finite radiance, got NaN or infinity")
         if images.numel() and float(images.abs().max()) > 20:
             raise ValueError(
-                f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images.max()):g}; divide by 255 or 65535?"
+                f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images.max()):g};"
+                " divide by 255 or 65535?"
             )
         return images.to(self.statistics.n_mean)
 
     def save_pretrained(self, folder: str | Path) -> None:
-        """Write ``statistics.safetensors`` and, where there is a kernel estimator, ``estimator.safetensors`` into ``folder``.
+        """Write ``statistics.safetensors`` and, where there is a kernel estimator, ``estimator.safetensors`` into
+        ``folder``.
 
         A likelihood estimator is made from the statistics and needs no file.
         """
@@ -220,7 +231,8 @@ class StatisticalRelighter(nn.Module):
 
     @classmethod
     def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
-        """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have loadings."""
+        """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have
+        loadings."""
         from safetensors import SafetensorError
         from safetensors.torch import load_file
 

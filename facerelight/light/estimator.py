@@ -1,4 +1,5 @@
-"""What an estimator of light is: it tells where the light of an image is and how unsure it is of that; the rest is shared.
+"""What an estimator of light is: it tells where the light of an image is and how unsure it is of that; the rest is
+shared.
 
 To add one, subclass :class:`LightEstimator` and implement :meth:`~LightEstimator.locate`; where its error is Gaussian,
 return a :class:`GaussianBelief`. It then serves as ``estimator=`` of a relighter.
@@ -70,7 +71,8 @@ class LightEstimator(nn.Module):
         independent: bool = False,
         mask: Tensor | None = None,
     ) -> Tensor:
-        """Draw ``count`` lights an image from what :meth:`locate` believes, put on the sphere (4.3); ``(B, count, K, 3)``.
+        """Draw ``count`` lights an image from what :meth:`locate` believes, put on the sphere (4.3);
+        ``(B, count, K, 3)``.
 
         Quasi-random by default; ``independent=True`` draws as the thesis does. The same ``generator`` state gives the
         same lights. An image without any light has zero ones.

@@ -18,8 +18,8 @@ class KernelIlluminationEstimator(LightEstimator):
 
     Images are compared small and normalised in brightness, because cameras and flashes differ.
 
-    Buffers: ``prototypes (R, D)`` unit vectors, ``prototype_lights (R, 3)``, ``widths (R,)``, ``bias (3,)``, ``error_factor (3, 3)``,
-    ``weight (h, w)`` of the thumbnail's pixels in the comparison.
+    Buffers: ``prototypes (R, D)`` unit vectors, ``prototype_lights (R, 3)``, ``widths (R,)``, ``bias (3,)``,
+    ``error_factor (3, 3)``, ``weight (h, w)`` of the thumbnail's pixels in the comparison.
 
     Example:
         >>> lights = torch.nn.functional.normalize(torch.randn(12, 3), dim=-1)
@@ -71,7 +71,8 @@ class KernelIlluminationEstimator(LightEstimator):
         weight: Tensor | None = None,
         folds: int = 5,
     ) -> KernelIlluminationEstimator:
-        """Store ``images (N, J, H, W)`` under ``lights (J, 3)`` as prototypes; learn bias and error covariance over left-out people.
+        """Store ``images (N, J, H, W)`` under ``lights (J, 3)`` as prototypes; learn bias and error covariance over
+        left-out people.
 
         Args:
             images: float radiance; NaN or ``valid (N, J)`` False mark missing ones.
@@ -147,7 +148,8 @@ def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _widths(points: Tensor, fraction: float) -> Tensor:
-    """A width for each prototype, so that about ``fraction`` of all prototypes lie within one width of it; by parts, to bound memory."""
+    """A width for each prototype, so that about ``fraction`` of all prototypes lie within one width of it; by parts, to
+    bound memory."""
     neighbours = max(1, min(round(fraction * len(points)), len(points) - 1))
     if len(points) <= 2048:
         return neighbour_widths(torch.cdist(points, points), neighbours)

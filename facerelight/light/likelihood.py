@@ -1,4 +1,5 @@
-"""Where the light comes from, told by the model itself: the likelihood of an image over a grid of lights, tempered (4.4 taken further)."""
+"""Where the light comes from, told by the model itself: the likelihood of an image over a grid of lights, tempered (4.4
+taken further)."""
 
 from __future__ import annotations
 
@@ -23,18 +24,20 @@ REACH = 15.0  # degrees from the nearest bootstrap light
 
 
 class LikelihoodIlluminationEstimator(LightEstimator):
-    """Posterior over a grid of lights from ``p(image | light)``, the whole-face code integrated out and the image's gain fitted.
+    """Posterior over a grid of lights from ``p(image | light)``, the whole-face code integrated out and the image's
+    gain fitted.
 
-    It looks at every few pixels only. Pixels are not independent given the code, so the log likelihood is divided by ``temper``, which
-    :meth:`calibrate` chooses to make the true lights of other people most probable.
+    It looks at every few pixels only. Pixels are not independent given the code, so the log likelihood is divided by
+    ``temper``, which :meth:`calibrate` chooses to make the true lights of other people most probable.
 
     Args:
         statistics: what the bootstrap taught.
         count: lights of the grid to a hemisphere; those far from every bootstrap light are left out.
         pixels: about how many pixels to look at.
 
-    Buffers: ``grid (R, 3)``; ``places (P,)`` of the pixels looked at; ``mean (R, P)``, ``std (R, P)`` and whitened ``loadings (R, P, k)`` of
-    the images under each light; ``factor (R, k, k)``, a Cholesky factor of the code's precision; ``temper ()``.
+    Buffers: ``grid (R, 3)``; ``places (P,)`` of the pixels looked at; ``mean (R, P)``, ``std (R, P)`` and whitened
+    ``loadings (R, P, k)`` of the images under each light; ``factor (R, k, k)``, a Cholesky factor of the code's
+    precision; ``temper ()``.
 
     Example:
         >>> lights = torch.nn.functional.normalize(torch.randn(6, 3) + torch.tensor([0, 0, 2.0]), dim=1)
@@ -124,7 +127,8 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         return torch.softmax(likelihood / self.temper.double(), 1)
 
     def calibrate(self, images: Tensor, lights: Tensor, valid: Tensor | None = None) -> LikelihoodIlluminationEstimator:
-        """Choose ``temper`` so that the true ``lights (J, 3)`` of ``images (N, J, H, W)`` become most probable; people not learned from."""
+        """Choose ``temper`` so that the true ``lights (J, 3)`` of ``images (N, J, H, W)`` become most probable; people
+        not learned from."""
         there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
         truth = lights.expand(len(images), -1, -1)[there]
         likelihood = self.log_likelihood(images[there])
@@ -143,7 +147,8 @@ class LikelihoodIlluminationEstimator(LightEstimator):
 
 
 class GridBelief(NamedTuple):
-    """``probability (B K, R)`` of the lights of a ``grid (R, 3)`` with cells of radius ``cell``; its mean ``direction (B, K, 3)``."""
+    """``probability (B K, R)`` of the lights of a ``grid (R, 3)`` with cells of radius ``cell``; its mean
+    ``direction (B, K, 3)``."""
 
     direction: Tensor
     probability: Tensor
@@ -151,7 +156,8 @@ class GridBelief(NamedTuple):
     cell: float
 
     def draw(self, count: int, generator: torch.Generator | None, independent: bool) -> Tensor:
-        """See :meth:`LightBelief.draw`: spread over the grid's cells, by default one point a ``1 / count`` of the probability."""
+        """See :meth:`LightBelief.draw`: spread over the grid's cells, by default one point a ``1 / count`` of the
+        probability."""
         images = len(self.probability)
         generator = generator or torch.Generator().manual_seed(0)
         points = torch.rand(images, count, generator=generator, dtype=torch.float64)

@@ -9,9 +9,11 @@ __all__ = ["fit_soft_light"]
 
 
 def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int = 300) -> Tensor:
-    """How much each of J lights contributes to a photo, for photos that no single lamp made: non-negative least squares.
+    """How much each of J lights contributes to a photo, for photos that no single lamp made: non-negative least
+    squares.
 
-    Light adds up, so a photo under any distant lights is about a non-negative mixture of the average face's images under single lights.
+    Light adds up, so a photo under any distant lights is about a non-negative mixture of the average face's images
+    under single lights.
 
     Args:
         mean_images: ``(J, H, W)`` of the average face under each light.

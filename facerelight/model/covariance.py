@@ -1,7 +1,8 @@
 """Prior mean and covariance of a pixel under any lights (3.16), valid by construction.
 
-The deviation's correlation between lights p and q is ``w(p)^T R w(q)`` with R learned, plus ``sqrt(1-rho(p,p)) sqrt(1-rho(q,q)) k(|p - q|)``:
-unit diagonal, semidefinite for any set of lights, and 1 where two lights meet.
+The deviation's correlation between lights p and q is ``w(p)^T R w(q)`` with R learned, plus
+``sqrt(1-rho(p,p)) sqrt(1-rho(q,q)) k(|p - q|)``: unit diagonal, semidefinite for any set of lights, and 1 where two
+lights meet.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ EVERYWHERE = slice(None)
 class LightTerms(NamedTuple):
     """What the covariances need to know of A lights at P pixels.
 
-    ``light (A, 3)``; ``weights (A, J)``; ``std (A, P)``; ``factor (A, r, P)``, the interpolated correlation factor times std;
-    ``narrow (A, P)``, the part of std that only nearby lights share; ``lost (A, P)``, std of the loadings lost to interpolation.
+    ``light (A, 3)``; ``weights (A, J)``; ``std (A, P)``; ``factor (A, r, P)``, the interpolated correlation factor
+    times std; ``narrow (A, P)``, the part of std that only nearby lights share; ``lost (A, P)``, std of the loadings
+    lost to interpolation.
     """
 
     light: Tensor
@@ -113,8 +115,8 @@ def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: Ligh
 def observed(covariance: Tensor) -> Tensor:
     """Covariance ``(P, K, K)`` of what a camera records: a relative variance of 1e-8 of its own at every observation.
 
-    That is far below a grey level, so inputs are still returned exactly; but two lights nearer than about 1e-4 rad count as one, where
-    otherwise the rounding of the images would be blown up without bound.
+    That is far below a grey level, so inputs are still returned exactly; but two lights nearer than about 1e-4 rad
+    count as one, where otherwise the rounding of the images would be blown up without bound.
     """
     own = torch.diag_embed(MEASUREMENT * covariance.diagonal(dim1=-2, dim2=-1))
     return covariance + own

@@ -15,7 +15,8 @@ __all__ = ["FORMAT_VERSION", "read_tensors", "write_tensors"]
 FORMAT = "facerelight-statistics"
 FORMAT_VERSION = 2
 
-# The layout: J lights, H x W pixels, r columns of the correlation factor (each its own), k loadings, m functions over the lights.
+# The layout: J lights, H x W pixels, r columns of the correlation factor (each its own), k loadings, m functions over
+# the lights.
 PIXEL_LAYOUT = {"n_factor": "3 3 H W", "v_std": "J H W", "v_factor": "J r H W"}
 LAYOUT = {
     "lights": "J 3",

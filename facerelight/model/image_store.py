@@ -16,8 +16,9 @@ __all__ = ["ImageStore"]
 class ImageStore:
     """Images of subjects under the same J lights, ``(J, H, W)`` each, readable by blocks of pixels.
 
-    With a ``folder`` every subject is one ``.npy`` file, written atomically: memory stays flat in the number of subjects, an
-    interrupted run goes on where it stopped, and several processes may fill one folder. A missing image is all NaN.
+    With a ``folder`` every subject is one ``.npy`` file, written atomically: memory stays flat in the number of
+    subjects, an interrupted run goes on where it stopped, and several processes may fill one folder. A missing image is
+    all NaN.
 
     Args:
         folder: where the files live; created if needed. None keeps the images in memory.
@@ -36,7 +37,8 @@ class ImageStore:
         return len(self._images) if self.folder is None else len(self._paths())
 
     def __contains__(self, subject: int) -> bool:
-        """Whether subject number ``subject`` is already in the folder, whole; what is left of a damaged file is removed."""
+        """Whether subject number ``subject`` is already in the folder, whole; what is left of a damaged file is
+        removed."""
         if self.folder is None:
             return False
         path = self.folder / f"subject_{subject:06d}.npy"
@@ -66,7 +68,8 @@ class ImageStore:
             partial.unlink(missing_ok=True)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Every subject's images ``(J, H, W)``, one after the other; memory-mapped where they are files, and then to be let go."""
+        """Every subject's images ``(J, H, W)``, one after the other; memory-mapped where they are files, and then to be
+        let go."""
         if self.folder is None:
             yield from self._images
         else:

@@ -1,8 +1,9 @@
 """Registration: small affine deformations that bring faces into step with the model, each with a Gaussian prior.
 
-Landmarks are marked or found inexactly and faces differ in proportion, so the same pixel is not the same place on two faces. A deformation
-``theta (6,)`` takes places of the model to places of the image: shifts (in image widths), scale, rotation (radians), stretch and shear. It is
-found by Gauss and Newton's method on the correlation of local contrast, which light hardly changes, with its prior as the penalty.
+Landmarks are marked or found inexactly and faces differ in proportion, so the same pixel is not the same place on two
+faces. A deformation ``theta (6,)`` takes places of the model to places of the image: shifts (in image widths), scale,
+rotation (radians), stretch and shear. It is found by Gauss and Newton's method on the correlation of local contrast,
+which light hardly changes, with its prior as the penalty.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def register(
         template: what the model expects under the same lights.
         start: ``(6,)``, where to begin, at full resolution; None: at the model's own place, from coarse to fine.
         weight: ``(H, W)``, where the images show the face; None: everywhere.
-        penalty: what one standard deviation of the prior costs beside 1 - correlation; on real faces 0.004 to 0.012 do equally well.
+        penalty: what one standard deviation of the prior costs beside 1 - correlation; on real faces 0.004 to 0.012 do
+            equally well.
 
     Returns:
         ``theta (6,)``; zero for images without any contrast.
@@ -98,7 +100,8 @@ def _shrink(images: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def congeal(faces: Tensor, rounds: int = 4) -> Tensor:
-    """Deformations ``(N, 6)`` that bring ``faces (N, H, W)`` into step with each other, their mean being none (Learned-Miller 2006).
+    """Deformations ``(N, 6)`` that bring ``faces (N, H, W)`` into step with each other, their mean being none
+    (Learned-Miller 2006).
 
     Args:
         faces: one picture a person, all under the same light or mean light.
@@ -133,7 +136,8 @@ def align_people(images: Tensor, lights: Tensor, valid: Tensor | None = None) ->
     there = (torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid) & (lights[:, 2] > NEAR_CAMERA)
     if not there.any(1).all():
         raise ValueError(
-            f"images: expected one within 32 degrees of the camera for everybody, got none for {int((~there.any(1)).sum())}"
+            "images: expected one within 32 degrees of the camera for everybody,"
+            f" got none for {int((~there.any(1)).sum())}"
         )
     shown = torch.where(there[..., None, None], images, 0.0)
     average = (shown.sum((0, 2, 3)) / there.sum(0).clamp_min(1)).clamp_min(1e-6)  # brightness under each light
@@ -144,7 +148,8 @@ def align_people(images: Tensor, lights: Tensor, valid: Tensor | None = None) ->
 
 
 def local_contrast(images: Tensor) -> Tensor:
-    """``(image - blurred) / blurred`` of ``(M, H, W)``: edges and features, whatever the shading; near zero in the dark."""
+    """``(image - blurred) / blurred`` of ``(M, H, W)``: edges and features, whatever the shading; near zero in the
+    dark."""
     side = max(3, images.shape[-1] // 9 | 1)
     from kornia.filters import box_blur  # only registration needs it
 

@@ -1,8 +1,10 @@
-"""What a bootstrap of other people's faces teaches: the Gaussian statistics of n and v at every pixel, and over the whole face.
+"""What a bootstrap of other people's faces teaches: the Gaussian statistics of n and v at every pixel, and over the
+whole face.
 
-The model (3.13) is ``i(x; s) = n(x)^T s + v(x; s)``: n is the albedo-scaled normal, v(s) the deviation from Lambert (shadows, highlights),
-correlated over lights. Everything that is learned is a fixed linear function of the N subjects' images, so fitting runs in two passes over
-blocks of pixels: one gathers N x N and J x J Gram matrices, one applies the N x N *subject operators* found from them.
+The model (3.13) is ``i(x; s) = n(x)^T s + v(x; s)``: n is the albedo-scaled normal, v(s) the deviation from Lambert
+(shadows, highlights), correlated over lights. Everything that is learned is a fixed linear function of the N subjects'
+images, so fitting runs in two passes over blocks of pixels: one gathers N x N and J x J Gram matrices, one applies the
+N x N *subject operators* found from them.
 """
 
 from __future__ import annotations
@@ -43,12 +45,13 @@ class FitOptions:
     """How statistics are learned.
 
     Args:
-        rank: columns of the correlation factor of v over the lights (8 hold 89 % of its trace on real faces, 16 hold 97 %).
+        rank: columns of the correlation factor of v over the lights (8 hold 89 % of its trace on real faces, 16 hold 97
+            %).
         face_rank: loadings of the whole-face model; 0 leaves it out.
         basis: functions over the lights that the loadings of v share.
         temper: how many pixels count as one independent observation of the whole-face code.
-        brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of its own,
-            ``i = g (n^T s + v)``; False is the thesis's model.
+        brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of
+            its own, ``i = g (n^T s + v)``; False is the thesis's model.
         kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.
         nugget_width: width of the narrow kernel that makes the model exactly consistent, in spacings.
         floor: least standard deviation of v, in radiance; keeps pixels that never vary well-posed.
@@ -76,8 +79,8 @@ class FitOptions:
 class PixelStatistics(nn.Module):
     """Second-order statistics of n and of v at the J bootstrap lights, pixel by pixel (4.3).
 
-    Buffers: ``n_factor (3, 3, H, W)`` with ``C_n = L L^T``; ``v_std (J, H, W)``; ``v_factor (J, r, H, W)``, the factor F of the correlation
-    ``F F^T + diag(1 - rowsum F^2)`` of v over the lights.
+    Buffers: ``n_factor (3, 3, H, W)`` with ``C_n = L L^T``; ``v_std (J, H, W)``; ``v_factor (J, r, H, W)``, the factor
+    F of the correlation ``F F^T + diag(1 - rowsum F^2)`` of v over the lights.
     """
 
     n_factor: Tensor
@@ -102,10 +105,12 @@ class PixelStatistics(nn.Module):
 
 
 class FaceLoadings(nn.Module):
-    """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``, ``c ~ N(0, I_k)``.
+    """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``,
+    ``c ~ N(0, I_k)``.
 
-    Buffers: ``n (k, 3, H, W)``; ``v (k, m, H, W)``, loadings of v in a basis over the lights; ``basis (m, J)``; ``v_power (J, H, W)``, the
-    variance that the loadings give v at each light; ``temper ()``. ``residual`` holds the per-pixel statistics of e.
+    Buffers: ``n (k, 3, H, W)``; ``v (k, m, H, W)``, loadings of v in a basis over the lights; ``basis (m, J)``;
+    ``v_power (J, H, W)``, the variance that the loadings give v at each light; ``temper ()``. ``residual`` holds the
+    per-pixel statistics of e.
     """
 
     n: Tensor
@@ -126,16 +131,17 @@ class FaceLoadings(nn.Module):
 class FaceStatistics(nn.Module):
     """Statistics of n and v learned from a bootstrap, as registered buffers.
 
-    Build them with :meth:`fit`, or subject by subject: ``FaceStatistics(lights)``, :meth:`update` for each, :meth:`solve`.
+    Build them with :meth:`fit`, or subject by subject: ``FaceStatistics(lights)``, :meth:`update` for each,
+    :meth:`solve`.
 
     Args:
         lights: unit vectors ``(J, 3)`` of the bootstrap lights; repeats are merged.
         options: how to learn.
         store: where the subjects' images are kept until solved (default: in memory).
 
-    Buffers after :meth:`solve`: ``lights (J, 3)``, ``light_widths (J,)``, ``nugget_width ()``, ``gain_spread ()``, ``gain_noise (J,)``,
-    ``n_mean (3, H, W)``, ``v_mean (J, H, W)``,
-    the submodule ``pixel`` (:class:`PixelStatistics`) and, with a ``face_rank``, ``face`` (:class:`FaceLoadings`).
+    Buffers after :meth:`solve`: ``lights (J, 3)``, ``light_widths (J,)``, ``nugget_width ()``, ``gain_spread ()``,
+    ``gain_noise (J,)``, ``n_mean (3, H, W)``, ``v_mean (J, H, W)``, the submodule ``pixel`` (:class:`PixelStatistics`)
+    and, with a ``face_rank``, ``face`` (:class:`FaceLoadings`).
     """
 
     lights: Tensor
@@ -199,7 +205,8 @@ class FaceStatistics(nn.Module):
         return statistics.solve()
 
     def update(self, images: Tensor, valid: Tensor | None = None, subject: int | None = None) -> FaceStatistics:
-        """Add one subject's ``images (J, H, W)``, ``valid (J,)`` saying which exist; takes effect at the next :meth:`solve`."""
+        """Add one subject's ``images (J, H, W)``, ``valid (J,)`` saying which exist; takes effect at the next
+        :meth:`solve`."""
         if self.store is None:
             raise RuntimeError(
                 "update: these statistics were loaded, and the images they came from are not kept; fit anew"
@@ -213,7 +220,8 @@ class FaceStatistics(nn.Module):
             raise ValueError("images: expected finite radiance, got NaN or infinity; mark missing images in `valid`")
         if images[kept].numel() and float(images[kept].abs().max()) > 20:
             raise ValueError(
-                f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g}; divide by 255?"
+                f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g};"
+                " divide by 255?"
             )
         merged = torch.full((len(self.lights), *images.shape[1:]), float("nan"))
         for light in range(len(self.lights)):
@@ -315,7 +323,8 @@ class FaceStatistics(nn.Module):
         return maps
 
     def _choose_widths(self, grams: Grams) -> None:
-        """Kernel widths in proportion to the local spacing of the lights; the factor by leaving each light out in turn."""
+        """Kernel widths in proportion to the local spacing of the lights; the factor by leaving each light out in
+        turn."""
         distance = torch.cdist(self.lights.double(), self.lights.double())
         spacing = neighbour_widths(distance, 3)
         factor = self.options.kernel_width
@@ -336,7 +345,8 @@ class FaceStatistics(nn.Module):
         return self.v_mean + torch.einsum("jc,chw->jhw", self.lights, self.n_mean)
 
     def weights(self, lights: Tensor) -> Tensor:
-        """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so few count."""
+        """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so
+        few count."""
         squared = (lights[..., None, :] - self.lights).square().sum(-1)
         weights = kernel_weights(squared, self.light_widths)
         weights = torch.where(weights > NEGLIGIBLE, weights, 0.0)
@@ -355,7 +365,8 @@ class FaceStatistics(nn.Module):
         return int(self.n_mean.shape[-2]), int(self.n_mean.shape[-1])
 
     def save(self, path: str | Path) -> None:
-        """Write a safetensors file, atomically: tensors, and as metadata the format version, options and ``self.metadata``."""
+        """Write a safetensors file, atomically: tensors, and as metadata the format version, options and
+        ``self.metadata``."""
         _ = self.size
         write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata})
 
@@ -364,7 +375,8 @@ class FaceStatistics(nn.Module):
         """Read what :meth:`save` wrote.
 
         Raises:
-            ValueError: no such file, not a statistics file, of an unknown version, or with tensors missing, misshapen or not finite.
+            ValueError: no such file, not a statistics file, of an unknown version, or with tensors missing, misshapen
+                or not finite.
         """
         tensors, header = read_tensors(path)
         try:

@@ -1,7 +1,8 @@
-"""Algebra over the bootstrap's subjects: Gram matrices, filling in missing images, and cross-validated loadings and residuals.
+"""Algebra over the bootstrap's subjects: Gram matrices, filling in missing images, and cross-validated loadings and
+residuals.
 
-Every statistic is a linear function of the subjects' images, so what to do with N subjects is decided on N x N matrices, once, and then
-applied to blocks of pixels as *subject operators*.
+Every statistic is a linear function of the subjects' images, so what to do with N subjects is decided on N x N
+matrices, once, and then applied to blocks of pixels as *subject operators*.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ GROUPS = 160  # of subjects left out in turn; up to so many subjects, each is le
 class Grams(NamedTuple):
     """Inner products over all pixels, float64.
 
-    ``subjects (J, N, N)`` of the images under each light (missing ones count as zero), summed to ``(1, N, N)`` where none is missing;
-    ``missing (N, J)``; ``deviation (J, J)`` of the fields v, summed over subjects; ``deviation_spread (J, J)`` of v less its mean over subjects.
+    ``subjects (J, N, N)`` of the images under each light (missing ones count as zero), summed to ``(1, N, N)`` where
+    none is missing; ``missing (N, J)``; ``deviation (J, J)`` of the fields v, summed over subjects;
+    ``deviation_spread (J, J)`` of v less its mean over subjects.
     """
 
     subjects: Tensor
@@ -45,8 +47,8 @@ class Grams(NamedTuple):
 
 
 class Brightness(NamedTuple):
-    """``gain (N,)`` of each subject about 1; ``spread ()``, its standard deviation in logarithm; ``noise (J,)``, by light, that of the gain
-    read off a single image."""
+    """``gain (N,)`` of each subject about 1; ``spread ()``, its standard deviation in logarithm; ``noise (J,)``, by
+    light, that of the gain read off a single image."""
 
     gain: Tensor
     spread: Tensor
@@ -94,10 +96,11 @@ def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
 
 
 def fill_operators(grams: Grams, ridge: float = 0.1) -> dict[int, Tensor]:
-    """For each light with missing images, ``(N, N)`` weights that predict every subject's image from the subjects that have one.
+    """For each light with missing images, ``(N, N)`` weights that predict every subject's image from the subjects that
+    have one.
 
-    A missing image is the regression of its subject on the others over the lights that the subject has (one step of EM, started from the
-    mean face), so what is filled in keeps the person's own brightness and shape.
+    A missing image is the regression of its subject on the others over the lights that the subject has (one step of EM,
+    started from the mean face), so what is filled in keeps the person's own brightness and shape.
     """
     count = len(grams.missing)
     fill = {}
@@ -144,7 +147,8 @@ def total_gram(grams: Grams, fill: dict[int, Tensor]) -> Tensor:
 
 
 def measure_brightness(store: ImageStore, total: Tensor, fill: dict[int, Tensor], block: int) -> Brightness:
-    """How bright each subject is next to the average face, by least squares over all images, and how well one image tells; one more pass.
+    """How bright each subject is next to the average face, by least squares over all images, and how well one image
+    tells; one more pass.
 
     ``total (N, N)`` is :func:`total_gram`.
     """
@@ -165,9 +169,10 @@ def measure_brightness(store: ImageStore, total: Tensor, fill: dict[int, Tensor]
 def face_operators(gram: Tensor, rank: int) -> FaceOperators:
     """Loadings of rank ``rank`` and cross-validated residuals, as weights over subjects.
 
-    Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out (in a large bootstrap
-    each of ``GROUPS`` groups): its residual is what the others' components leave of it, and each loading is scaled by the spread of the
-    left-out subjects' scores. At rank 0 the residual is exactly the per-pixel model's centred field.
+    Principal components of a small bootstrap flatter the people they came from, so each subject in turn is left out (in
+    a large bootstrap each of ``GROUPS`` groups): its residual is what the others' components leave of it, and each
+    loading is scaled by the spread of the left-out subjects' scores. At rank 0 the residual is exactly the per-pixel
+    model's centred field.
     """
     count = len(gram)
     groups = [torch.arange(first, count, GROUPS) for first in range(min(count, GROUPS))]
@@ -193,7 +198,8 @@ def face_operators(gram: Tensor, rank: int) -> FaceOperators:
 
 
 def _components(gram: Tensor, mean: Tensor, rank: int) -> tuple[Tensor, Tensor]:
-    """Leading principal fields about the weighted mean: unit-norm, as weights ``(rank, N)`` over subjects, and their sums of squares."""
+    """Leading principal fields about the weighted mean: unit-norm, as weights ``(rank, N)`` over subjects, and their
+    sums of squares."""
     members = mean > 0
     centring = torch.diag(members.double()) - torch.outer(members.double(), mean)
     values, vectors = torch.linalg.eigh(centring @ gram @ centring.T)
@@ -202,7 +208,8 @@ def _components(gram: Tensor, mean: Tensor, rank: int) -> tuple[Tensor, Tensor]:
 
 
 def interpolation_error(deviation: Tensor, distance: Tensor, widths: Tensor) -> float:
-    """Squared error of predicting v at each bootstrap light from the others by kernel regression, over all subjects and pixels."""
+    """Squared error of predicting v at each bootstrap light from the others by kernel regression, over all subjects and
+    pixels."""
     squared = distance.square().clone()
     squared.fill_diagonal_(torch.inf)
     error = torch.eye(len(distance), dtype=torch.float64) - kernel_weights(squared, widths)

@@ -1,6 +1,7 @@
 """Conditional Gaussians and the package's only factorisations; it knows nothing of faces.
 
-Small systems are solved in float64 through a Cholesky factor, nothing is inverted, and variances are kept at or above zero.
+Small systems are solved in float64 through a Cholesky factor, nothing is inverted, and variances are kept at or above
+zero.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Conditional(NamedTuple):
 def safe_cholesky(matrix: Tensor) -> Tensor:
     """Lower Cholesky factors of ``(..., K, K)`` covariances, in float64.
 
-    Members of the batch that fail get a jitter on the diagonal, relative to their own mean diagonal, from 1e-12 to 1e-6; the
-    others are left as they are.
+    Members of the batch that fail get a jitter on the diagonal, relative to their own mean diagonal, from 1e-12 to
+    1e-6; the others are left as they are.
 
     Raises:
         NotPositiveDefiniteError: a member holds NaN or infinity, or is indefinite beyond the largest jitter.
@@ -64,7 +65,8 @@ def safe_cholesky(matrix: Tensor) -> Tensor:
     finite = torch.isfinite(matrix).all(dim=-1).all(dim=-1)
     if not finite.all():
         raise NotPositiveDefiniteError(
-            f"covariance: expected finite entries, got NaN or infinity in {int((~finite).sum())} of {finite.numel()} matrices"
+            f"covariance: expected finite entries, got NaN or infinity in {int((~finite).sum())}"
+            f" of {finite.numel()} matrices"
         )
     failed = info != 0
     count = int(failed.sum())
@@ -97,7 +99,8 @@ def solve_upper(factor: Tensor, right: Tensor) -> Tensor:
 
 
 def positive_variance(variance: Tensor, before: Tensor) -> Tensor:
-    """``variance`` with what rounding left below zero set to zero; ``before`` is the variance that something was taken off.
+    """``variance`` with what rounding left below zero set to zero; ``before`` is the variance that something was taken
+    off.
 
     Warns:
         NumericalWarning: some lie further below zero than rounding explains; says how many.
@@ -124,7 +127,8 @@ def condition_gaussian(
         y: the observation, ``(..., Y)``.
 
     Returns:
-        ``m = mu_x + R_xy R_yy^-1 (y - mu_y)`` and ``C_m = R_xx - R_xy R_yy^-1 R_yx``, in ``y``'s dtype, solved in float64.
+        ``m = mu_x + R_xy R_yy^-1 (y - mu_y)`` and ``C_m = R_xx - R_xy R_yy^-1 R_yx``, in ``y``'s dtype, solved in
+        float64.
 
     Example:
         >>> one = torch.ones(1, 1)
@@ -140,10 +144,12 @@ def condition_gaussian(
 
 
 class SequentialConditional:
-    """``p(x | y_1 .. y_K)`` of a scalar x, one observation at a time (Appendix A), equal to conditioning on all at once.
+    """``p(x | y_1 .. y_K)`` of a scalar x, one observation at a time (Appendix A), equal to conditioning on all at
+    once.
 
-    Appendix A grows the inverse of ``R_yy``; this grows its Cholesky factor by a row, which is the same recursion without an inverse:
-    each observation takes ``(sigma_0K - a^T R^-1 r)^2 / gamma`` off the variance, gamma its own variance given the earlier ones.
+    Appendix A grows the inverse of ``R_yy``; this grows its Cholesky factor by a row, which is the same recursion
+    without an inverse: each observation takes ``(sigma_0K - a^T R^-1 r)^2 / gamma`` off the variance, gamma its own
+    variance given the earlier ones.
 
     Args:
         mean, variance: of x before anything is observed, ``(...)``; all arithmetic is in float64.
@@ -192,7 +198,8 @@ class SequentialConditional:
 def low_rank_code(
     design: Tensor, observed: Tensor, temper: float, weight: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Posterior of ``c ~ N(0, I_k)`` from whitened observations ``y = A c + e`` at P pixels, the likelihood tempered by ``1 / temper``.
+    """Posterior of ``c ~ N(0, I_k)`` from whitened observations ``y = A c + e`` at P pixels, the likelihood tempered by
+    ``1 / temper``.
 
     Args:
         design: A, ``(P, K, k)``, float64.
@@ -213,7 +220,8 @@ def low_rank_code(
 
 
 def covariance_factor(samples: Tensor, dof: float) -> Tensor:
-    """A square factor ``L`` with ``L L^T = X^T X / dof`` for centred samples ``(..., N, D)``, any N, exactly semidefinite; ``(..., D, D)``."""
+    """A square factor ``L`` with ``L L^T = X^T X / dof`` for centred samples ``(..., N, D)``, any N, exactly
+    semidefinite; ``(..., D, D)``."""
     covariance = (samples.mT @ samples).double() / dof
     values, vectors = torch.linalg.eigh(covariance)
     return (vectors * values.clamp_min(0).sqrt()[..., None, :]).to(samples.dtype)
@@ -222,8 +230,8 @@ def covariance_factor(samples: Tensor, dof: float) -> Tensor:
 def correlation_factor(samples: Tensor, rank: int) -> Tensor:
     """The leading factor ``F`` ``(..., D, rank)`` of the correlation of samples whose columns have unit sum of squares.
 
-    ``F F^T + diag(1 - rowsum F^2)`` is a correlation matrix: unit diagonal, semidefinite, and the best of that rank in what ``F F^T``
-    keeps of the trace.
+    ``F F^T + diag(1 - rowsum F^2)`` is a correlation matrix: unit diagonal, semidefinite, and the best of that rank in
+    what ``F F^T`` keeps of the trace.
 
     Args:
         samples: ``(..., N, D)``, columns of unit length, or of zero length where a variable never varies.

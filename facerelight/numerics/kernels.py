@@ -16,7 +16,8 @@ def kernel_weights(squared_distance: Tensor, width: Tensor | float) -> Tensor:
         width: kernel widths ``h``, positive, broadcast against it.
 
     Returns:
-        Weights ``(..., J)``, non-negative, that sum to 1 along the last axis even where every kernel underflows on its own.
+        Weights ``(..., J)``, non-negative, that sum to 1 along the last axis even where every kernel underflows on its
+        own.
 
     Example:
         >>> kernel_weights(torch.tensor([1e6, 1e6 + 1.0]), 0.1).tolist()[0]

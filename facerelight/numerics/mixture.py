@@ -1,4 +1,5 @@
-"""The most probable grey level under a mixture of Gaussians: Algorithm 1, exactly and as the thesis draws it. It knows nothing of faces."""
+"""The most probable grey level under a mixture of Gaussians: Algorithm 1, exactly and as the thesis draws it. It knows
+nothing of faces."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ def mixture_mode(means: Tensor, variances: Tensor, weights: Tensor | None = None
     """The grey level at which the mixture's density is highest, evaluated exactly at the 256 levels.
 
     Args:
-        means, variances: of the M components, ``(M, P)``; variances below that of rounding to a grey level count as that.
+        means, variances: of the M components, ``(M, P)``; variances below that of rounding to a grey level count as
+            that.
         weights: ``(M,)``, default equal.
 
     Returns:
@@ -46,11 +48,13 @@ def draw_mixture(means: Tensor, variances: Tensor, draws: int, generator: torch.
 
 
 def histogram_mode(samples: Tensor, order: int = 4, cutoff: float = 0.08) -> Tensor:
-    """The mode of samples ``(S, P)`` as the thesis finds it: a histogram over the grey levels, low-pass filtered (Algorithm 1, 5.1).
+    """The mode of samples ``(S, P)`` as the thesis finds it: a histogram over the grey levels, low-pass filtered
+    (Algorithm 1, 5.1).
 
     Args:
         samples: drawn images, one a row.
-        order, cutoff: of the Butterworth filter; the cut-off is a fraction of the Nyquist frequency. Its delay is undone.
+        order, cutoff: of the Butterworth filter; the cut-off is a fraction of the Nyquist frequency. Its delay is
+            undone.
 
     Returns:
         ``(P,)``, in 0..1.

@@ -13,7 +13,8 @@ def quasi_normal(
 ) -> Tensor:
     """``count`` standard normal points ``(count, dimensions)``: scrambled Sobol by default, or independent draws.
 
-    Quasi-random points fill space evenly, so means over them converge almost as ``1 / count`` instead of ``1 / sqrt(count)``.
+    Quasi-random points fill space evenly, so means over them converge almost as ``1 / count`` instead of
+    ``1 / sqrt(count)``.
     """
     if independent:
         return torch.randn(count, dimensions, generator=generator)

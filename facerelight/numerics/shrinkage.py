@@ -32,7 +32,8 @@ def ledoit_wolf(samples: Tensor) -> Tensor:
 
 
 def oas(samples: Tensor) -> Tensor:
-    """``(1 - a) S + a mu I`` with the oracle-approximating a of Chen et al. (2010), for centred samples ``(..., N, D)``."""
+    """``(1 - a) S + a mu I`` with the oracle-approximating a of Chen et al. (2010), for centred samples
+    ``(..., N, D)``."""
     count, size = samples.shape[-2:]
     covariance = sample_covariance(samples)
     mu = covariance.diagonal(dim1=-2, dim2=-1).mean(-1)
@@ -43,10 +44,11 @@ def oas(samples: Tensor) -> Tensor:
 
 
 def block_shrinkage(samples: Tensor, owner: Tensor) -> Tensor:
-    """Entries between variables of different owners are shrunk towards 0, those within one owner's block stay as they are.
+    """Entries between variables of different owners are shrunk towards 0, those within one owner's block stay as they
+    are.
 
-    The amount is the one of Schaefer and Strimmer (2005): the entries' sampling variance over their squares. At its largest, 1, every
-    owner (a pixel) is modelled on its own.
+    The amount is the one of Schaefer and Strimmer (2005): the entries' sampling variance over their squares. At its
+    largest, 1, every owner (a pixel) is modelled on its own.
 
     Args:
         samples: centred, ``(..., N, D)``.

@@ -17,14 +17,15 @@ __all__ = ["Classifier", "GlobalPCAClassifier", "IndividualPCAClassifier", "Near
 
 
 class Classifier(nn.Module):
-    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``, rejection of strangers.
+    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``,
+    rejection of strangers.
 
     Args:
         normalizer: photometric normalisation of exemplars and probes alike.
-        reject: least score that is not a stranger; "fit": :meth:`fit` finds it, where held-out exemplars are turned away as often as other
-            people's are let in.
-        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, and its best score for each person
-            counts.
+        reject: least score that is not a stranger; "fit": :meth:`fit` finds it, where held-out exemplars are turned
+            away as often as other people's are let in.
+        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, and its best score
+            for each person counts.
     """
 
     def __init__(self, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0) -> None:
@@ -47,12 +48,14 @@ class Classifier(nn.Module):
         return self
 
     def _equal_error_threshold(self, rows: Tensor, index: Tensor) -> float:
-        """Learn from every other exemplar of each person; the rest, and their best scores for other people, say where strangers begin."""
+        """Learn from every other exemplar of each person; the rest, and their best scores for other people, say where
+        strangers begin."""
         place = nn.functional.one_hot(index).cumsum(0).gather(1, index[:, None])[:, 0]  # 1, 2, ... within each person
         held_out = place % 2 == 0
         if int(index.bincount().min()) < 4 or int(index.max()) < 1:
             raise ValueError(
-                "reject='fit': expected 4 exemplars or more of each of 2 people or more; give a score, or call calibrate()"
+                "reject='fit': expected 4 exemplars or more of each of 2 people or more;"
+                " give a score, or call calibrate()"
             )
         self._learn(rows[~held_out], index[~held_out])
         scores, own = self._scores(rows[held_out]), index[held_out][:, None]
@@ -96,7 +99,8 @@ class Classifier(nn.Module):
         return self.compare(self.views(images))
 
     def views(self, images: Tensor) -> Iterator[Tensor]:
-        """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend on who is enrolled."""
+        """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend
+        on who is enrolled."""
         steps = range(-self.shift, self.shift + 1)
         return (self.normalizer(_moved(images.float(), down, right)) for down in steps for right in steps)
 
@@ -137,8 +141,9 @@ def _moved(images: Tensor, down: int, right: int) -> Tensor:
 class SumClassifier(Classifier):
     """The sum of the scores of fitted classifiers over the same people (the sum rule of Kittler et al. 1998).
 
-    A photograph is the one exemplar that is certainly right, and synthesised exemplars are the ones that know other lights: the sum of a
-    nearest neighbour over photographs and individual subspaces over exemplars is better than either where the statistics are rendered.
+    A photograph is the one exemplar that is certainly right, and synthesised exemplars are the ones that know other
+    lights: the sum of a nearest neighbour over photographs and individual subspaces over exemplars is better than
+    either where the statistics are rendered.
 
     Args:
         classifiers: fitted; their own normalisation and shifts apply.
@@ -185,7 +190,8 @@ class NearestNeighborClassifier(Classifier):
 
     Args:
         neighbors: how many vote; the nearest decides between people with as many votes.
-        metric: "l2"; "cosine"; or "l0", the semi-norm of 6.1: how many pixels of a 16 x 16 thumbnail differ by more than ``threshold``.
+        metric: "l2"; "cosine"; or "l0", the semi-norm of 6.1: how many pixels of a 16 x 16 thumbnail differ by more
+            than ``threshold``.
         threshold: of "l0", in the images' units.
         normalizer, reject, shift: see :class:`Classifier`.
     """
@@ -284,9 +290,10 @@ class IndividualPCAClassifier(Classifier):
     Args:
         dimension: of each subspace; None: as few as leave 1 % of the energy, 35 to 45 in the thesis.
         error: that error.
-        metric: "error", the reconstruction error (6.1); or "cosine", between a probe and the person's mean, both outside the person's subspace.
-            The cosine takes the mean at the strength that the probe shows it with, and measures what is left by what the subspace leaves of the
-            probe, so people enrolled from bright and from nearly black photographs can be compared.
+        metric: "error", the reconstruction error (6.1); or "cosine", between a probe and the person's mean, both
+            outside the person's subspace. The cosine takes the mean at the strength that the probe shows it with, and
+            measures what is left by what the subspace leaves of the probe, so people enrolled from bright and from
+            nearly black photographs can be compared.
         normalizer, shift: see :class:`Classifier`.
         reject: least score (minus relative reconstruction error; for "cosine" the cosine) that is not a stranger; see
             :meth:`Classifier.calibrate`.

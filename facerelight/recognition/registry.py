@@ -1,9 +1,9 @@
 """The classifiers that recognition tables compare, by name.
 
-A name is a method and what is added to it, joined by "+": ``individual_pca_9+detail+cosine+weber_fine``. Methods are :data:`METHODS` and
-:data:`BASELINES`; added may be "exemplars" (nearest neighbour over relit images too), "detail" (exemplars keep the photograph's fine
-detail), "cosine" (the metric of individual subspaces), "photo" (the sum with the photograph's own score) and one of the photometric
-normalisations.
+A name is a method and what is added to it, joined by "+": ``individual_pca_9+detail+cosine+weber_fine``. Methods are
+:data:`METHODS` and :data:`BASELINES`; added may be "exemplars" (nearest neighbour over relit images too), "detail"
+(exemplars keep the photograph's fine detail), "cosine" (the metric of individual subspaces), "photo" (the sum with the
+photograph's own score) and one of the photometric normalisations.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ PAIRWISE = ("nearest_neighbor", "individual_pca", "individual_pca_9", "lbph", "s
 class GalleryImages(NamedTuple):
     """What a gallery is made of: Q exemplars of each of N people.
 
-    ``photos (N, H, W)`` of ``people``; ``relit (N, Q, H, W)``, exemplars; ``shift`` in pixels by which probes may lie off.
+    ``photos (N, H, W)`` of ``people``; ``relit (N, Q, H, W)``, exemplars; ``shift`` in pixels by which probes may lie
+    off.
     """
 
     photos: Tensor

@@ -1,8 +1,9 @@
 """Adapt rendered statistics to a few people's photographs: a conjugate update of means and covariances.
 
-The rendered heads are the prior. Each new person's photographs are completed to all bootstrap lights by the model itself (the E step of EM).
-The update is that of a normal-inverse-Wishart model, written as a bootstrap of two groups: the completed people, and the rendered heads,
-moved so that the mean of all is the posterior mean. So every statistic, loadings and cross-validated residuals included, is learned as ever.
+The rendered heads are the prior. Each new person's photographs are completed to all bootstrap lights by the model
+itself (the E step of EM). The update is that of a normal-inverse-Wishart model, written as a bootstrap of two groups:
+the completed people, and the rendered heads, moved so that the mean of all is the posterior mean. So every statistic,
+loadings and cross-validated residuals included, is learned as ever.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ OUTLINE = 1.05  # how far a photo is taken for a face, in units of the face's ou
 
 
 class Person(NamedTuple):
-    """Aligned photographs of one person: ``images (K, H, W)`` linear radiance; ``lights (K, 3)``, rows of NaN where unknown; ``mask
-    (H, W)``, 1 where all of them show the face."""
+    """Aligned photographs of one person: ``images (K, H, W)`` linear radiance; ``lights (K, 3)``, rows of NaN where
+    unknown; ``mask (H, W)``, 1 where all of them show the face."""
 
     images: Tensor
     lights: Tensor
@@ -41,8 +42,9 @@ class Person(NamedTuple):
 def read_people(folder: str | Path, frame: CropFrame) -> list[Person]:
     """Photographs for :func:`adapt`, ``NAME.jpg`` or ``NAME/*.jpg``, brought into ``frame``.
 
-    A photo of the canonical crop's proportions (168 wide, 192 high, in any size) is taken for an aligned one; in others landmarks are
-    found. A light is known where the file's name holds its angles in Extended Yale B's manner, ``A+035E+40``: azimuth 35, elevation 40.
+    A photo of the canonical crop's proportions (168 wide, 192 high, in any size) is taken for an aligned one; in others
+    landmarks are found. A light is known where the file's name holds its angles in Extended Yale B's manner,
+    ``A+035E+40``: azimuth 35, elevation 40.
 
     Raises:
         ValueError: no photos, an unreadable one, or one without a face; says which.
@@ -97,18 +99,21 @@ def adapt(
         statistics: solved, and still keeping their images.
         people: one or more, the more lights each the better.
         estimator: finds lights that are unknown.
-        prior_heads: how many people the rendered mean counts for; the rendered covariance counts for as many as there are heads.
+        prior_heads: how many people the rendered mean counts for; the rendered covariance counts for as many as there
+            are heads.
 
     Returns:
         New statistics under the same lights, in memory; ``statistics`` stay as they are.
 
     Raises:
-        RuntimeError: the statistics were loaded, and their images are not kept; or a light is unknown and there is no estimator.
+        RuntimeError: the statistics were loaded, and their images are not kept; or a light is unknown and there is no
+            estimator.
         ValueError: nobody to adapt to, or images of another size.
     """
     if statistics.store is None:
         raise RuntimeError(
-            "adapt: these statistics were loaded, and the images they came from are not kept; train with `adapt` instead"
+            "adapt: these statistics were loaded, and the images they came from are not kept;"
+            " train with `adapt` instead"
         )
     if not people:
         raise ValueError("adapt: expected one person or more, got none")
@@ -135,7 +140,8 @@ def adapt(
 
 
 def _complete(relighter: StatisticalRelighter, person: Person) -> Tensor:
-    """A person's image under every bootstrap light, ``(J, H, W)``: the photograph where there is one, else the model's mean."""
+    """A person's image under every bootstrap light, ``(J, H, W)``: the photograph where there is one, else the model's
+    mean."""
     lights = relighter.statistics.lights
     complete = (
         relighter.condition(person.images[None], person.lights[None], draws=8, mask=person.mask[None])

@@ -1,4 +1,5 @@
-"""Rank and temper of the whole-face model chosen by cross-validation: relighting people who were left out of the bootstrap."""
+"""Rank and temper of the whole-face model chosen by cross-validation: relighting people who were left out of the
+bootstrap."""
 
 from __future__ import annotations
 
@@ -48,7 +49,8 @@ def choose_face_options(
 
     Example:
         >>> lights = torch.nn.functional.normalize(torch.randn(6, 3) + torch.tensor([0, 0, 2.0]), dim=1)
-        >>> choose_face_options(torch.rand(8, 6, 8, 7), lights, ranks=(1, 2), tempers=(1.0, 10.0), folds=2).options.face_rank in (1, 2)
+        >>> choice = choose_face_options(torch.rand(8, 6, 8, 7), lights, ranks=(1, 2), tempers=(1.0, 10.0), folds=2)
+        >>> choice.options.face_rank in (1, 2)
         True
     """
     options = options or FitOptions()
@@ -57,7 +59,8 @@ def choose_face_options(
     usable = sorted({min(rank, least) for rank in ranks})
     if usable[0] < 1:
         raise ValueError(
-            f"images: expected enough people to leave out one of {folds} groups and learn from 3 or more, got {len(images)}"
+            f"images: expected enough people to leave out one of {folds} groups and learn from 3 or more,"
+            f" got {len(images)}"
         )
     sources = nearest_lights(torch.stack([light_from_angles(*angles) for angles in SOURCES]), lights).unique().tolist()
     totals: dict[tuple[int, float], list[float]] = {}
@@ -78,7 +81,8 @@ def choose_face_options(
 
 
 def _error(relighter: StatisticalRelighter, person: Tensor, lights: Tensor, valid: Tensor, source: int) -> float | None:
-    """Mean square error of ``person (J, H, W)``, relit from the image under light ``source`` to all others; None where that is missing."""
+    """Mean square error of ``person (J, H, W)``, relit from the image under light ``source`` to all others; None where
+    that is missing."""
     targets = valid.clone()
     targets[source] = False
     if not valid[source] or not targets.any():

@@ -1,4 +1,5 @@
-"""Learn statistics from a rendered bootstrap: the loop that ``facerelight train`` and ``scripts/train_statistics.py`` share."""
+"""Learn statistics from a rendered bootstrap: the loop that ``facerelight train`` and ``scripts/train_statistics.py``
+share."""
 
 from __future__ import annotations
 
@@ -75,15 +76,17 @@ def train(
 ) -> dict[str, object]:
     """Render the bootstrap, learn the statistics and the light estimator, and save them into ``folder``.
 
-    A run that was interrupted goes on from the last finished head: each head's images are a file in ``folder/images`` until the end.
-    Under ``torchrun --nproc-per-node N -m facerelight.cli train`` the processes share the heads out among themselves.
+    A run that was interrupted goes on from the last finished head: each head's images are a file in ``folder/images``
+    until the end. Under ``torchrun --nproc-per-node N -m facerelight.cli train`` the processes share the heads out
+    among themselves.
 
     Args:
         config: what to learn.
         folder: where ``statistics.safetensors``, ``estimator.safetensors`` and ``report.json`` go.
         workers: processes that render; 0 renders in this one.
         keep_images: leave the rendered images where they are.
-        adapt_to: a folder of a few people's photographs, see :func:`facerelight.train.adapt.read_people`; None: rendered heads alone.
+        adapt_to: a folder of a few people's photographs, see :func:`facerelight.train.adapt.read_people`; None:
+            rendered heads alone.
 
     Returns:
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
@@ -165,7 +168,8 @@ def trained_folder(config: TrainConfig) -> Path:
 
 
 def rendered_statistics(config: TrainConfig) -> FaceStatistics:
-    """Statistics of ``config`` that still keep their images, as :func:`facerelight.train.adapt.adapt` needs them; rendered once and cached."""
+    """Statistics of ``config`` that still keep their images, as :func:`facerelight.train.adapt.adapt` needs them;
+    rendered once and cached."""
     folder = default_statistics_folder(config)
     if not (folder / "images").exists():
         train(config, folder, keep_images=True)

@@ -1,7 +1,9 @@
-"""Other poses and expressions (5.6, 7.3): the same Gaussian model, its statistics rendered on demand at exactly the views asked for.
+"""Other poses and expressions (5.6, 7.3): the same Gaussian model, its statistics rendered on demand at exactly the
+views asked for.
 
-The thesis learns 45 poses and interpolates between them, which mixes neighbouring poses into ghosts. The bootstrap is rendered, so its
-people can be seen at the very pose, light and expression of each input and of the output; nothing is interpolated.
+The thesis learns 45 poses and interpolates between them, which mixes neighbouring poses into ghosts. The bootstrap is
+rendered, so its people can be seen at the very pose, light and expression of each input and of the output; nothing is
+interpolated.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class View:
     """What an image is taken under; angles in degrees.
 
     Args:
-        azimuth, elevation: of the camera about the head; positive azimuth shows the side of the face at image-left of a frontal picture.
+        azimuth, elevation: of the camera about the head; positive azimuth shows the side of the face at image-left of a
+            frontal picture.
         light: azimuth and elevation of the light, relative to the camera.
         expression: names and weights in 0..1 of expression shapes, such as ``(("jawOpen", 0.6),)``.
     """
@@ -43,7 +46,8 @@ class View:
 
 
 class ViewRelit(NamedTuple):
-    """``mean``, ``variance`` ``(B, H, W)``; ``code (B, k)``, what is known of each person; ``weight (B, S)`` of the readings of the inputs."""
+    """``mean``, ``variance`` ``(B, H, W)``; ``code (B, k)``, what is known of each person; ``weight (B, S)`` of the
+    readings of the inputs."""
 
     mean: Tensor
     variance: Tensor
@@ -105,7 +109,8 @@ class BootstrapViews:
 
 
 class ViewRelighter:
-    """The whole-face model (a low-rank code shared by all pixels and all views, and a residual at each pixel) over views.
+    """The whole-face model (a low-rank code shared by all pixels and all views, and a residual at each pixel) over
+    views.
 
     Args:
         source: what the bootstrap's people look like under views.
@@ -119,12 +124,14 @@ class ViewRelighter:
         self.source, self.rank, self.temper = source, rank, temper
 
     def __call__(self, images: Tensor, source_views: Sequence[View | Sequence[View]], target_view: View) -> ViewRelit:
-        """Render ``images (B, K, H, W)`` of B persons under ``target_view``: the conditional mean and variance (5.3 to 5.5).
+        """Render ``images (B, K, H, W)`` of B persons under ``target_view``: the conditional mean and variance (5.3 to
+        5.5).
 
         Args:
             images: linear radiance; the k-th image of everybody was taken under the same view.
-            source_views: for each image its view or, where that is unknown, a list of candidates. Every combination is a reading of the
-                inputs; the readings are averaged with their tempered evidence as weights (5.5), person by person.
+            source_views: for each image its view or, where that is unknown, a list of candidates. Every combination is
+                a reading of the inputs; the readings are averaged with their tempered evidence as weights (5.5), person
+                by person.
             target_view: what to render.
         """
         height, width = self.source.size
@@ -135,7 +142,8 @@ class ViewRelighter:
             or len(source_views) != images.shape[1]
         ):
             raise ValueError(
-                f"images: expected (B, K, {height}, {width}) and K >= 1 views, got {tuple(images.shape)}, {len(source_views)}"
+                f"images: expected (B, K, {height}, {width}) and K >= 1 views,"
+                f" got {tuple(images.shape)}, {len(source_views)}"
             )
         readings: list[list[View]] = [[]]
         for view in source_views:
@@ -155,7 +163,8 @@ class ViewRelighter:
         )
 
     def _read(self, images: Tensor, views: Sequence[View], target: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered log evidence ``(B,)``."""
+        """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered
+        log evidence ``(B,)``."""
         known = self.source.fields([target, *views])
         fields = known.fields.sum(0).double()  # (V, N, P)
         people = fields.shape[1]

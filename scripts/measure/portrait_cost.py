@@ -2,8 +2,8 @@
 
 python scripts/measure/portrait_cost.py --json portrait_cost.json
 
-The portrait is the astronaut (NASA, public domain, from scikit-image), 560 x 700 with 98 pixels between the eyes. Medians
-of runs that alternate; a busy machine makes them larger, so its load is said too.
+The portrait is the astronaut (NASA, public domain, from scikit-image), 560 x 700 with 98 pixels between the eyes.
+Medians of runs that alternate; a busy machine makes them larger, so its load is said too.
 """
 
 import argparse
@@ -132,7 +132,8 @@ def large_photo(small: np.ndarray, face: Face, fills: bool) -> np.ndarray:
 
 
 def held(name: str) -> float:
-    """Megabytes of this process: "VmRSS" now, "VmHWM" at most. (getrusage's peak counts the process that started it.)"""
+    """Megabytes of this process: "VmRSS" now, "VmHWM" at most. (getrusage's peak counts the process that started
+    it.)"""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith(name + ":"))
 

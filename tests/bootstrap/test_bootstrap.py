@@ -90,7 +90,8 @@ def test_auto_equals_all(dataset: BootstrapDataset) -> None:
 
 
 def test_shadows_match_ray_casting(dataset: BootstrapDataset) -> None:
-    """Light through the shadow map against rays through the mesh, on a head; pixels at the edge of the surface count too."""
+    """Light through the shadow map against rays through the mesh, on a head; pixels at the edge of the surface count
+    too."""
     pytest.importorskip("embreex", reason="ray casting needs embreex")
     head = place_in_frame(dataset.source.head(1), dataset.frame)
     mesh = trimesh.Trimesh(head.vertices, head.triangles, process=False)
@@ -171,7 +172,8 @@ def test_meshes_of_the_users_own(tmp_path) -> None:
 
 
 def test_least_squares_normals_follow_the_mesh(dataset: BootstrapDataset) -> None:
-    """Footnote 2 of 4.2.1: n fitted to rendered images points where the mesh's normals do, but for shadows and highlights."""
+    """Footnote 2 of 4.2.1: n fitted to rendered images points where the mesh's normals do, but for shadows and
+    highlights."""
     surface, _ = dataset.surface(0)
     images = dataset[0].images.flatten(1)[:, surface.pixel]
     fitted = torch.linalg.lstsq(dataset.lights, images).solution.T
@@ -181,7 +183,8 @@ def test_least_squares_normals_follow_the_mesh(dataset: BootstrapDataset) -> Non
 
 
 def test_the_highlight_is_torrance_and_sparrow() -> None:
-    """Against the formula written out pixel by pixel in float64, and nowhere visible where the plan says it cannot be."""
+    """Against the formula written out pixel by pixel in float64, and nowhere visible where the plan says it cannot
+    be."""
     generator = torch.Generator().manual_seed(0)
     normal = torch.nn.functional.normalize(
         torch.randn(500, 3, generator=generator) * torch.tensor((1.0, 1.0, 0.5)), dim=1

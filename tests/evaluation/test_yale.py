@@ -80,7 +80,8 @@ def test_registration_takes_a_grey_level_off(yale_path: Path) -> None:
 
 
 def test_fine_detail_pays_on_people_outside_the_bootstrap(yale_path: Path) -> None:
-    """Relit images that keep half of the photograph's detail err less; with all of it, people are told apart across lights."""
+    """Relit images that keep half of the photograph's detail err less; with all of it, people are told apart across
+    lights."""
     faces = load_yale(yale_path, 48, 42)
     images, valid = to_grid(faces)
     with torch.no_grad():

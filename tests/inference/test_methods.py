@@ -18,7 +18,8 @@ from facerelight.numerics.mixture import draw_mixture, histogram_mode, mixture_m
 def draw_images(
     statistics: FaceStatistics, lights: torch.Tensor, count: int, seed: int, normal: bool = True
 ) -> torch.Tensor:
-    """Images of ``count`` people from the model itself, ``(count, K, P)`` float64: the properties hold for them exactly in expectation."""
+    """Images of ``count`` people from the model itself, ``(count, K, P)`` float64: the properties hold for them exactly
+    in expectation."""
     terms = light_terms(statistics, statistics.pixel, lights)
     make = image_covariance if normal else deviation_covariance
     covariance = make(statistics, statistics.pixel, terms, terms)
@@ -231,7 +232,8 @@ def test_zero_mean_error(statistics: FaceStatistics, lights: torch.Tensor) -> No
 
 
 def test_mle_is_progressive(statistics: FaceStatistics, lights: torch.Tensor) -> None:
-    """Lemma 6 as it can be proved: Var[n_MLE] never grows with K, in the Loewner order; nor does the image's variance (Lemma 7)."""
+    """Lemma 6 as it can be proved: Var[n_MLE] never grows with K, in the Loewner order; nor does the image's variance
+    (Lemma 7)."""
     images = torch.zeros(12, 24, 21)
     before, variance = None, None
     for inputs in range(3, 13):
@@ -248,7 +250,8 @@ def test_mle_is_progressive(statistics: FaceStatistics, lights: torch.Tensor) ->
 def test_map_of_n_is_biased_for_one_person_and_better_on_average(
     statistics: FaceStatistics, lights: torch.Tensor
 ) -> None:
-    """Lemma 9: for a fixed person the known-light estimate is pulled to the mean face; over people its mean square error falls with K."""
+    """Lemma 9: for a fixed person the known-light estimate is pulled to the mean face; over people its mean square
+    error falls with K."""
     person = statistics.n_mean.flatten(1) + 2 * torch.einsum(
         "dcp,c->dp", statistics.pixel.n_factor.flatten(2), torch.ones(3)
     )
@@ -276,7 +279,8 @@ def test_map_of_n_is_biased_for_one_person_and_better_on_average(
 
 
 def test_two_steps_equal_one(statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor) -> None:
-    """Theorem 12, and Lemmas 10, 11 with the covariance they leave out: rendering from n_MAP and v_MAP gives the same mean and variance."""
+    """Theorem 12, and Lemmas 10, 11 with the covariance they leave out: rendering from n_MAP and v_MAP gives the same
+    mean and variance."""
     sources, target = lights[[2, 7, 11]], light_from_angles(25.0, -10.0)[None]
     images = people[12, [2, 7, 11]].flatten(1).double()
     pixel = statistics.pixel

@@ -40,7 +40,8 @@ def test_matches_slow_reference(
 
 
 def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.Tensor) -> None:
-    """With temper 1, conditioning by code and residual equals conditioning the full joint Gaussian over all pixels at once."""
+    """With temper 1, conditioning by code and residual equals conditioning the full joint Gaussian over all pixels at
+    once."""
     small = people[:12, :, ::6, ::6]
     statistics = FaceStatistics.fit(small, lights, rank=4, face_rank=3, temper=1.0, basis=30).double()
     sources, target = lights[2:4].double(), lights[9:10].double()
@@ -72,7 +73,8 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
 def test_consistency(
     statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, covariance: str, inputs: int
 ) -> None:
-    """Theorem 3: an input light as target gives that input back, without variance, and the output is continuous there."""
+    """Theorem 3: an input light as target gives that input back, without variance, and the output is continuous
+    there."""
     relighter = StatisticalRelighter(statistics, covariance)
     images, sources = people[13:14, :inputs], lights[:inputs]
     posterior = relighter.condition(images, sources)

@@ -21,7 +21,8 @@ def estimator(
 def test_likelihood_is_that_of_a_dense_gaussian(
     estimator: LikelihoodIlluminationEstimator, people: torch.Tensor
 ) -> None:
-    """``N(g mean, g^2 D (I + A A^T / T) D)`` at the fitted gain, written out; differences over the grid within 1e-3 of log likelihood."""
+    """``N(g mean, g^2 D (I + A A^T / T) D)`` at the fitted gain, written out; differences over the grid within 1e-3 of
+    log likelihood."""
     image = people[13, 7]
     ours = estimator.log_likelihood(image[None])[0]
     y = image.flatten()[estimator.places].double()

@@ -255,7 +255,8 @@ def test_sources_of_one_number_are_one(ratio: LightRatio) -> None:
 
 
 def test_what_the_own_light_leaves_unexplained_goes_with_it(shading: BustShading, ratio: LightRatio) -> None:
-    """A patch that the photograph shows darker than its fitted light explains is lifted by as much under another light."""
+    """A patch that the photograph shows darker than its fitted light explains is lifted by as much under another
+    light."""
     known, (x, y) = evidence(), crop_places()
     patch = np.hypot(x + 0.25, y + 0.5) < 0.3
     spotted = LightRatio(

@@ -161,7 +161,8 @@ def test_incremental_svd_over_10000_updates_with_duplicates() -> None:
 def test_direct_subspace_equals_that_of_the_synthesised_images(
     statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
 ) -> None:
-    """(6.1) with covariance interpolation: w(s)^T (sigma b) in place of sigma(s) w(s)^T b, the same nodes and weights."""
+    """(6.1) with covariance interpolation: w(s)^T (sigma b) in place of sigma(s) w(s)^T b, the same nodes and
+    weights."""
     posterior = StatisticalRelighter(statistics, "face").condition(people[12:13, :1], lights[:1])
     nodes, weights = exemplar_lights("hemisphere")
     person = posterior.people[0]

@@ -39,7 +39,8 @@ def test_the_mean_is_the_posterior_mean(people: torch.Tensor, lights: torch.Tens
 
 
 def test_adapting_helps_with_people_of_that_kind(people: torch.Tensor, lights: torch.Tensor) -> None:
-    """A world whose lamps are brighter at the side, told by four people under half of the lights; others of it are relit."""
+    """A world whose lamps are brighter at the side, told by four people under half of the lights; others of it are
+    relit."""
     lamp = (1 + 0.6 * (1 - lights[:, 2]))[:, None, None]
     prior = FaceStatistics.fit(people[:8], lights, face_rank=2)
     told = [person((people[i] * lamp)[::2], lights[::2]) for i in range(8, 12)]

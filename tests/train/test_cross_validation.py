@@ -8,7 +8,8 @@ from facerelight.train.cross_validation import choose_face_options
 
 
 def test_more_than_one_loading_is_worth_having(people: torch.Tensor, lights: torch.Tensor) -> None:
-    """The world of the fixtures varies in five ways: cross-validation takes several loadings, and its error is the least of the table."""
+    """The world of the fixtures varies in five ways: cross-validation takes several loadings, and its error is the
+    least of the table."""
     choice = choose_face_options(
         people, lights, options=FitOptions(rank=4, basis=12), ranks=(1, 5), tempers=(1.0, 10.0, 1000.0)
     )

@@ -27,7 +27,8 @@ def test_views_are_rendered_once_and_the_same(posed: BootstrapViews) -> None:
 
 
 def test_a_turned_head_shows_its_other_side(posed: BootstrapViews) -> None:
-    """A positive azimuth shows the side at image-left: what lies in front of the pivot goes to image-right, and mirrored poses mirror it."""
+    """A positive azimuth shows the side at image-left: what lies in front of the pivot goes to image-right, and
+    mirrored poses mirror it."""
     frontal, turned = posed.images(View()).mean(0), posed.images(View(40.0)).mean(0)
     mirrored = posed.images(View(-40.0)).mean(0)
     assert (turned - frontal).abs().mean() > 0.02
