@@ -11,8 +11,8 @@ from collections import Counter
 import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
+from facerelight.bootstrap.effects import EFFECTS
 from facerelight.bootstrap.heads import MakeHumanHeads
-from facerelight.bootstrap.scene import EFFECTS
 from facerelight.config import DEFAULT_CONFIG
 from facerelight.geometry.lights import even_hemisphere
 

@@ -19,8 +19,8 @@ from pathlib import Path
 import matplotlib
 import torch
 
-from facerelight.bootstrap import scene
-from facerelight.bootstrap.scene import plan_effects, shade
+from facerelight.bootstrap.effects import EFFECTS
+from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.config import TrainConfig
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.run import make_dataset
@@ -39,15 +39,15 @@ def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
     dataset = make_dataset(config)
     dataset.surface(0)  # opens the renderer
     times: dict[str, list[float]] = defaultdict(list)
-    visibility = scene._visibility
+    cast = EFFECTS["cast"]
+    attenuate = cast.attenuate
 
     def timed(*arguments):  # type: ignore[no-untyped-def]
         started = time.perf_counter()
-        result = visibility(*arguments)
+        attenuate(*arguments)
         times["shadow"].append(time.perf_counter() - started)
-        return result
 
-    scene._visibility = timed
+    cast.attenuate = timed  # type: ignore[method-assign]
     for index in range(heads):
         started = time.perf_counter()
         surface, material = dataset.surface(index)
@@ -59,7 +59,7 @@ def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
             shade(surface, light, material, plan, dataset._renderer)  # type: ignore[arg-type]
             times["plan"].append(planned - started)
             times["light"].append(time.perf_counter() - planned)
-    scene._visibility = visibility
+    cast.attenuate = attenuate  # type: ignore[method-assign]
     dataset.close()
     total = {name: 1e3 * sum(values) for name, values in times.items()}
     lights = heads * len(dataset.lights)

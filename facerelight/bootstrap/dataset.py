@@ -12,10 +12,12 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from facerelight.bootstrap.domain import Domain, Material
-from facerelight.bootstrap.heads import HeadSource, place_in_frame, rotate, stand
+from facerelight.bootstrap.heads import HeadSource
+from facerelight.bootstrap.posture import place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.scene import Surface, plan_effects, shade, view_surface
+from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
+from facerelight.bootstrap.surface import Surface, view_surface
 from facerelight.geometry.alignment import CropFrame
 
 __all__ = ["BootstrapDataset", "RenderedHead", "open_renderer"]

@@ -42,7 +42,8 @@ def make_dataset(
 ) -> BootstrapDataset:
     """The people of a config as a torch dataset, under its own lights from the front unless told otherwise."""
     from facerelight.bootstrap.dataset import BootstrapDataset  # OpenGL starts here and not before
-    from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads, MeshFolder
+    from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads
+    from facerelight.bootstrap.meshes import MeshFolder
 
     source: HeadSource
     if expression and config.source != "makehuman":

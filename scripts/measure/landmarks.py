@@ -20,9 +20,11 @@ import numpy as np
 
 from facerelight.bootstrap.dataset import open_renderer
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.heads import MakeHumanHeads, place_in_frame, rotate
-from facerelight.bootstrap.scene import plan_effects, shade, view_surface
+from facerelight.bootstrap.heads import MakeHumanHeads
+from facerelight.bootstrap.posture import place_in_frame, rotate
+from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
+from facerelight.bootstrap.surface import view_surface
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 from facerelight.photo.faces.face_mesh import fit_face_mesh

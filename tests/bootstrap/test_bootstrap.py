@@ -10,10 +10,14 @@ import trimesh
 
 from facerelight.bootstrap.dataset import BootstrapDataset, open_renderer
 from facerelight.bootstrap.domain import Domain, Material
-from facerelight.bootstrap.heads import PIVOT, Head, MakeHumanHeads, MeshFolder, place_in_frame, rotate, stand
+from facerelight.bootstrap.effects import EFFECTS, highlight, highlight_reach
+from facerelight.bootstrap.heads import Head, MakeHumanHeads
+from facerelight.bootstrap.meshes import MeshFolder
+from facerelight.bootstrap.posture import PIVOT, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.scene import EFFECTS, _highlight, _highlight_reach, plan_effects, shade, view_surface
+from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
+from facerelight.bootstrap.surface import view_surface
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import even_hemisphere, light_from_angles
 
@@ -195,7 +199,7 @@ def test_the_highlight_is_torrance_and_sparrow() -> None:
         light = light_from_angles(azimuth, elevation)
         half = (light + torch.tensor((0.0, 0.0, 1.0))).double()
         half = half / half.norm()
-        got = _highlight(normal, light, skin)
+        got = highlight(normal, light, skin)
         for n, value in zip(normal.double(), got, strict=True):
             nh, nl, nv, vh = (
                 max(float(n @ half), 1e-3),
@@ -209,7 +213,7 @@ def test_the_highlight_is_torrance_and_sparrow() -> None:
             fresnel = 0.05 / 0.028 * (0.028 + (1 - 0.028) * (1 - vh) ** 5)
             grooves = min(1.0, 2 * nh * nv / vh, 2 * nh * nl / vh)
             assert abs(float(value) - fresnel * beckmann * grooves / (4 * nv)) < 1e-4 * max(1.0, float(value))
-        beyond = normal @ half.float() <= _highlight_reach(skin)
+        beyond = normal @ half.float() <= highlight_reach(skin)
         assert beyond.any()
         assert got[beyond].max() < 1e-6
 

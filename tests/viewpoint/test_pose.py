@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from facerelight.bootstrap.heads import MakeHumanHeads, rotate
+from facerelight.bootstrap.heads import MakeHumanHeads
+from facerelight.bootstrap.posture import rotate
 from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 
 INPUTS = [View(-30.0), View(30.0), View()]
