@@ -149,7 +149,7 @@ def _config(arguments: jsonargparse.Namespace) -> TrainConfig:
 
     from facerelight.bootstrap.domain import Domain
     from facerelight.config import TrainConfig
-    from facerelight.model.statistics import FitOptions
+    from facerelight.model.learning import FitOptions
 
     values = {field.name: arguments[field.name] for field in fields(TrainConfig)}
     for name, kind in (("fit", FitOptions), ("domain", Domain)):

@@ -18,7 +18,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
 from facerelight.model.file import FORMAT_VERSION
-from facerelight.model.statistics import FitOptions
+from facerelight.model.learning import FitOptions
 
 __all__ = ["DEFAULT_CONFIG", "QUALITIES", "TrainConfig", "cache_folder", "default_statistics_folder", "quality_config"]
 

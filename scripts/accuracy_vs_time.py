@@ -33,8 +33,9 @@ from facerelight.geometry.lights import even_hemisphere, light_from_angles, near
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.mixture import draw_mixture, histogram_mode
 from facerelight.train.run import make_dataset
 from facerelight.viewpoint.regions import GroupRelighter, make_regions, random_groups

@@ -22,7 +22,7 @@ from facerelight.geometry.lights import even_hemisphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
-from facerelight.recognition.classifiers import IndividualPCAClassifier
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.subspaces import Subspace
 
 

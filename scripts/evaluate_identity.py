@@ -22,8 +22,9 @@ from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
 from facerelight.geometry.lights import even_hemisphere, light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 from facerelight.train.run import make_dataset
 
 LEVELS = {"50": 0.6745, "80": 1.2816, "95": 1.96}

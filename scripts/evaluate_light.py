@@ -24,8 +24,9 @@ from facerelight.geometry.lights import angular_distance
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 from facerelight.train.run import make_dataset
 
 DRAWS = 64

@@ -21,10 +21,11 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.photometric import NORMALIZERS
-from facerelight.recognition.registry import BASELINES, CLASSIFIERS
+from facerelight.recognition.registry import baseline_names, table_names
 
 
 def learn(
@@ -90,10 +91,12 @@ def main() -> int:
     parser.add_argument(
         "--classifier",
         nargs="+",
-        default=list(CLASSIFIERS),
+        default=list(table_names()),
         help="names of facerelight.recognition.registry, without normalisation",
     )
-    parser.add_argument("--baseline", nargs="*", default=list(BASELINES[:3]), help=f"of {', '.join(BASELINES)}")
+    parser.add_argument(
+        "--baseline", nargs="*", default=list(baseline_names()[:3]), help=f"of {', '.join(baseline_names())}"
+    )
     parser.add_argument("--photometric", nargs="+", choices=list(NORMALIZERS), default=["none", "tan_triggs", "weber"])
     parser.add_argument("--exemplars", choices=["grid", "hemisphere", "dome", "cap"], default="dome")
     parser.add_argument(

@@ -17,8 +17,9 @@ from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.evaluation.datasets import load_yale
 from facerelight.geometry.lights import angle_pairs
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 from facerelight.train.adapt import Person, adapt
 
 

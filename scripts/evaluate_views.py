@@ -15,7 +15,8 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.recognition.classifiers import IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.nearest import NearestNeighborClassifier
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 

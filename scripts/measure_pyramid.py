@@ -17,8 +17,9 @@ from facerelight.evaluation import SOURCES
 from facerelight.evaluation.datasets import load_yale, to_grid
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people, deform, register, undeform
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.statistics import FaceStatistics
 
 
 def bands(images: torch.Tensor, levels: int) -> list[torch.Tensor]:

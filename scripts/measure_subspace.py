@@ -19,10 +19,11 @@ from facerelight.evaluation import SOURCES
 from facerelight.evaluation.datasets import load_yale, to_grid
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
-from facerelight.model.statistics import FaceStatistics, FitOptions
-from facerelight.recognition.classifiers import IndividualPCAClassifier
+from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.subspaces import principal_angles, principal_subspace
 
 DIMENSION = 9

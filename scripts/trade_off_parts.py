@@ -14,8 +14,8 @@ from facerelight.config import DEFAULT_CONFIG, TrainConfig
 from facerelight.geometry.lights import angle_grid, even_hemisphere, hemisphere_quadrature
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
-from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import direct_subspace, light_moments, synthesize
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import make_normalizer
 from facerelight.train.run import make_dataset
 from facerelight.viewpoint.pose import BootstrapViews, ViewRelighter

@@ -22,7 +22,8 @@ from facerelight.numerics.gaussian import (
     safe_cholesky,
 )
 from facerelight.numerics.kernels import kernel_weights
-from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.recognition.nearest import NearestNeighborClassifier
+from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.recognition.subspaces import IncrementalSubspace
 
 CASES: dict[str, tuple[str, Callable]] = {}

@@ -2,14 +2,12 @@
 whole face.
 
 The model (3.13) is ``i(x; s) = n(x)^T s + v(x; s)``: n is the albedo-scaled normal, v(s) the deviation from Lambert
-(shadows, highlights), correlated over lights. Everything that is learned is a fixed linear function of the N subjects'
-images, so fitting runs in two passes over blocks of pixels: one gathers N x N and J x J Gram matrices, one applies the
-N x N *subject operators* found from them.
+(shadows, highlights), correlated over lights. How they are learned: :mod:`facerelight.model.learning`.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -18,62 +16,12 @@ from torch import Tensor, nn
 from facerelight.geometry.lights import angular_distance, merge_repeats, unit_lights
 from facerelight.model.file import read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
-from facerelight.model.subjects import (
-    Brightness,
-    FaceOperators,
-    Grams,
-    face_operators,
-    fill_missing,
-    fill_operators,
-    gather_grams,
-    interpolation_error,
-    measure_brightness,
-    total_gram,
-)
-from facerelight.numerics import gaussian
-from facerelight.numerics.kernels import kernel_weights, neighbour_widths
+from facerelight.model.learning import FitOptions, learn
+from facerelight.numerics.kernels import kernel_weights
 
-__all__ = ["FaceStatistics", "FitOptions", "PixelStatistics"]
+__all__ = ["FaceLoadings", "FaceStatistics", "PixelStatistics"]
 
-BLOCK_VALUES = 1_000_000  # images of all subjects in one block of pixels, 4 MB
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
-GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """How statistics are learned.
-
-    Args:
-        rank: columns of the correlation factor of v over the lights (8 hold 89 % of its trace on real faces, 16 hold 97
-            %).
-        face_rank: loadings of the whole-face model; 0 leaves it out.
-        basis: functions over the lights that the loadings of v share.
-        temper: how many pixels count as one independent observation of the whole-face code.
-        brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of
-            its own, ``i = g (n^T s + v)``; False is the thesis's model.
-        kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.
-        nugget_width: width of the narrow kernel that makes the model exactly consistent, in spacings.
-        floor: least standard deviation of v, in radiance; keeps pixels that never vary well-posed.
-        block: most pixels solved at a time; fewer where there are many heads, so that memory stays flat.
-    """
-
-    rank: int = 12
-    face_rank: int = 0
-    basis: int = 24
-    temper: float = 100.0
-    brightness: bool = False
-    kernel_width: float | None = None
-    nugget_width: float = 0.35
-    floor: float = 2e-3
-    block: int = 1024
-
-    def __post_init__(self) -> None:
-        if self.rank < 0 or self.face_rank < 0 or self.basis < 1 or self.block < 1:
-            raise ValueError(f"statistics: expected ranks >= 0 and basis, block >= 1, got {self}")
-        widths = self.nugget_width > 0 and (self.kernel_width is None or self.kernel_width > 0)
-        if not (self.temper >= 1 and widths and self.floor > 0):
-            raise ValueError(f"statistics: expected temper >= 1 and widths, floor > 0, got {self}")
 
 
 class PixelStatistics(nn.Module):
@@ -92,16 +40,6 @@ class PixelStatistics(nn.Module):
         self.register_buffer("n_factor", n_factor)
         self.register_buffer("v_std", v_std)
         self.register_buffer("v_factor", v_factor)
-
-    @staticmethod
-    def learn(n: Tensor, v: Tensor, dof: float, options: FitOptions) -> tuple[Tensor, Tensor, Tensor]:
-        """The three tensors of a block of pixels from centred ``n (N, 3, P)`` and ``v (N, J, P)``."""
-        n_factor = gaussian.covariance_factor(n.permute(2, 0, 1), dof).permute(1, 2, 0)
-        length = v.square().sum(0).sqrt()  # (J, P)
-        v_std = (length / dof**0.5).clamp_min(options.floor)
-        unit = torch.where(length > options.floor * dof**0.5, v / length.clamp_min(1e-30), torch.zeros_like(v))
-        v_factor = gaussian.correlation_factor(unit.permute(2, 0, 1), options.rank).permute(1, 2, 0)
-        return n_factor, v_std, v_factor
 
 
 class FaceLoadings(nn.Module):
@@ -252,93 +190,17 @@ class FaceStatistics(nn.Module):
         shapes = {array.shape for array in self.store}
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
-        height, width = next(iter(shapes))[1:]
-        step = max(32, min(self.options.block, BLOCK_VALUES // (len(self.store) * len(self.lights))))
-        grams = gather_grams(self.store, self.lights, step)
-        self._choose_widths(grams)
-        fill = fill_operators(grams)
-        brightness: Brightness | None = None
-        gram = total_gram(grams, fill)
-        if self.options.brightness:
-            brightness = measure_brightness(self.store, gram, fill, step)
-            self.gain_spread, self.gain_noise = brightness.spread, brightness.noise
-            gram = gram / torch.outer(brightness.gain, brightness.gain)
-        operators = face_operators(gram, self.options.face_rank) if self.options.face_rank else None
-        basis = self._light_basis(grams)
-        pixels = height * width
-        maps: dict[str, Tensor] = {}
-        for start in range(0, pixels, step):
-            block = self._learn_block(
-                self.store.block(start, min(start + step, pixels)), fill, brightness, operators, basis
-            )
-            for name, values in block.items():
-                if (
-                    name not in maps
-                ):  # one allocation each: small ones kept between large ones would tear the heap apart
-                    maps[name] = values.new_empty(*values.shape[:-1], pixels)
-                maps[name][..., start : start + values.shape[-1]] = values
-        maps = {name: values.unflatten(-1, (height, width)) for name, values in maps.items()}
-        self.n_mean, self.v_mean = maps["n_mean"], maps["v_mean"]
-        self.pixel = PixelStatistics(maps["n_factor"], maps["v_std"], maps["v_factor"])
-        if operators is not None:
-            self.face = FaceLoadings(
-                n=maps["face_n"],
-                v=maps["face_v"],
-                basis=basis,
-                v_power=maps["face_power"],
-                temper=torch.tensor(self.options.temper),
-                residual=PixelStatistics(maps["face_n_factor"], maps["face_v_std"], maps["face_v_factor"]),
-            )
+        learned = learn(self.store, self.lights, self.options)
+        self.light_widths, self.nugget_width = learned.light_widths, learned.nugget_width
+        self.gain_spread, self.gain_noise = learned.gain_spread, learned.gain_noise
+        self.n_mean, self.v_mean = learned.n_mean, learned.v_mean
+        self.pixel = PixelStatistics(*learned.pixel)
+        if learned.face is not None:
+            face = learned.face
+            residual = PixelStatistics(*face.residual)
+            temper = torch.tensor(self.options.temper)
+            self.face = FaceLoadings(face.n, face.v, learned.basis, face.v_power, temper, residual)
         return self
-
-    def _learn_block(
-        self,
-        images: Tensor,
-        fill: dict[int, Tensor],
-        brightness: Brightness | None,
-        operators: FaceOperators | None,
-        basis: Tensor,
-    ) -> dict[str, Tensor]:
-        """Every statistic of one block of pixels, from ``images (N, J, P)`` (4.2, 4.3)."""
-        images = fill_missing(images, fill)
-        if brightness is not None:
-            images = images / brightness.gain[:, None, None]
-        solver = torch.linalg.pinv(self.lights.double()).float()  # (3, J)
-        n = solver @ images  # least squares per subject (4.2)
-        v = images - self.lights @ n
-        n_mean, v_mean = n.mean(0), v.mean(0)
-        n_factor, v_std, v_factor = PixelStatistics.learn(n - n_mean, v - v_mean, len(n) - 1, self.options)
-        maps = {"n_mean": n_mean, "v_mean": v_mean, "n_factor": n_factor, "v_std": v_std, "v_factor": v_factor}
-        if operators is not None:
-            residual_n = torch.einsum("ab,b...->a...", operators.residual, n)
-            residual_v = torch.einsum("ab,b...->a...", operators.residual, v)
-            learned = PixelStatistics.learn(residual_n, residual_v, len(n), self.options)
-            maps |= dict(zip(("face_n_factor", "face_v_std", "face_v_factor"), learned, strict=True))
-            loadings = torch.einsum("ka,ajp->kjp", operators.loadings, v)
-            maps |= {
-                "face_n": torch.einsum("ka,acp->kcp", operators.loadings, n),
-                "face_v": basis @ loadings,
-                "face_power": loadings.square().sum(0),
-            }
-        return maps
-
-    def _choose_widths(self, grams: Grams) -> None:
-        """Kernel widths in proportion to the local spacing of the lights; the factor by leaving each light out in
-        turn."""
-        distance = torch.cdist(self.lights.double(), self.lights.double())
-        spacing = neighbour_widths(distance, 3)
-        factor = self.options.kernel_width
-        if factor is None:
-            candidates = [0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 1.0]
-            best = min(candidates, key=lambda c: interpolation_error(grams.deviation, distance, c * spacing))
-            factor = GAP_SHRINK * best
-        self.light_widths = (factor * spacing).float()
-        self.nugget_width = (self.options.nugget_width * spacing.median()).float()
-
-    def _light_basis(self, grams: Grams) -> Tensor:
-        """Orthonormal functions over the lights that hold most of how v varies between subjects, ``(m, J)``."""
-        vectors = torch.linalg.eigh(grams.deviation_spread).eigenvectors
-        return vectors[:, -min(self.options.basis, len(self.lights)) :].T.flip(0).float()
 
     def mean_images(self) -> Tensor:
         """The average face under every bootstrap light, ``n^T s + v`` of the means, ``(J, H, W)``."""

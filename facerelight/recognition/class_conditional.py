@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from facerelight.recognition.classifiers import Classifier, Reject
+from facerelight.recognition.classifier import Classifier, Reject
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
 __all__ = ["GaussianClassifier"]

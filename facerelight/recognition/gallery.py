@@ -15,8 +15,8 @@ from facerelight.inference.detail import keep_detail
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, crop_frame
 from facerelight.photo.files.disk import read_photo
-from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import Inside, make_normalizer
 from facerelight.recognition.subspaces import Subspace
 

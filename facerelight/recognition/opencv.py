@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.geometry.alignment import CropFrame, fit_similarity, warp_to_crop
-from facerelight.recognition.classifiers import Classifier
+from facerelight.recognition.classifier import Classifier
 
 __all__ = ["OpenCVClassifier", "SFaceFeatures", "find_model"]
 

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.model.statistics import FaceStatistics, FitOptions
+from facerelight.model.learning import FitOptions
+from facerelight.model.statistics import FaceStatistics
 
 __all__ = ["Choice", "choose_face_options"]
 

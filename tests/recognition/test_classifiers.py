@@ -11,14 +11,11 @@ from facerelight.geometry.lights import even_hemisphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.class_conditional import GaussianClassifier
-from facerelight.recognition.classifiers import (
-    GlobalPCAClassifier,
-    IndividualPCAClassifier,
-    NearestNeighborClassifier,
-    SumClassifier,
-)
+from facerelight.recognition.classifier import SumClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
+from facerelight.recognition.nearest import NearestNeighborClassifier
 from facerelight.recognition.opencv import OpenCVClassifier, SFaceFeatures, find_model
+from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from facerelight.model.statistics import FitOptions
+from facerelight.model.learning import FitOptions
 from facerelight.train.cross_validation import choose_face_options
 
 
