@@ -25,6 +25,7 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import SHADOW
 from facerelight.train.run import make_dataset
 
 LEVELS = {"50": 0.6745, "80": 1.2816, "95": 1.96}
@@ -64,7 +65,7 @@ def measure(
                 people[person : person + 1, source : source + 1], lights[source : source + 1], register=register
             )
             made = posterior.mean(lights[target : target + 1])[0, 0]
-            dark = people[person, source] < 20 / 255
+            dark = people[person, source] < SHADOW
             total["shadow"].append(
                 float((made.clamp(0, 1) - people[person, target])[dark].square().mean().sqrt() * 255)
             )

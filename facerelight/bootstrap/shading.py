@@ -22,6 +22,11 @@ class EffectPlan(NamedTuple):
 
     where: dict[str, Tensor]
 
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of the effects that are simulated."""
+        return frozenset(self.where)
+
 
 def plan_effects(
     surface: Surface, light: Tensor, material: Material, effects: str | Iterable[str] = "auto"

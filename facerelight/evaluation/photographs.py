@@ -14,7 +14,7 @@ import torch
 
 from facerelight.evaluation.scan import decode_srgb
 from facerelight.geometry.alignment import CropFrame, fit_similarity, invert_similarity, warp_to_crop
-from facerelight.geometry.sources import LUMINANCE
+from facerelight.numerics.luminance import LUMINANCE, MEASURED_FLOOR
 from facerelight.photo.face_mask import face_mask
 
 __all__ = ["MEASURES", "photograph_measures"]
@@ -72,7 +72,7 @@ def photograph_measures(
     crop = _crops(before, after, landmarks, frame)
     person = np.ones(before.shape[:2], bool) if matte is None else matte > 0.5
     inside_person = _on_crop(person, landmarks, frame)
-    padded = np.log2((crop.after + 0.01) / (crop.before + 0.01))
+    padded = np.log2((crop.after + MEASURED_FLOOR) / (crop.before + MEASURED_FLOOR))
     inside = (slice(PAD, -PAD), slice(PAD, -PAD))
     ratio, first, second = padded[inside], crop.before[inside], crop.after[inside]
     face = crop.mask > 0.6

@@ -16,6 +16,7 @@ from facerelight.inference.detail import keep_detail
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import MEASURED_FLOOR, SHADOW
 
 __all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights", "relighting_errors"]
 
@@ -68,7 +69,7 @@ def _score(relit: Tensor, truth: Tensor, subset: Tensor, source: Tensor, frontal
     error = (relit - truth) * 255
     rmse = error.square().mean((1, 2)).sqrt()
     similarity = ssim(relit[:, None], truth[:, None], 11, padding="same").mean((1, 2, 3))
-    dark = source < 20 / 255
+    dark = source < SHADOW
     shadow = torch.full_like(rmse, torch.nan)
     if dark.any() and frontal.any():
         shadow[frontal] = error[frontal][:, dark].square().mean(1).sqrt()
@@ -86,7 +87,7 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
         targets: ``(Q,)`` indices of the target lights.
     """
     smooth = gaussian_blur2d(mean_images[:, None], (9, 9), (2.0, 2.0))[:, 0]
-    ratio = (smooth[targets] + 0.01) / (smooth[source_index] + 0.01)
+    ratio = (smooth[targets] + MEASURED_FLOOR) / (smooth[source_index] + MEASURED_FLOOR)
     return {
         "copy": source.expand(len(targets), -1, -1),
         "mean_face": mean_images[targets],

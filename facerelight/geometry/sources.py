@@ -16,11 +16,10 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import even_hemisphere, light_from_angles
+from facerelight.numerics.luminance import LUMINANCE
 
-__all__ = ["LUMINANCE", "Lamp", "LightMixture", "fill_light", "scene_light"]
+__all__ = ["Lamp", "LightMixture", "fill_light", "scene_light"]
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Luminance of linear sRGB (Rec. 709)."""
 FILL_POINTS = 24
 FILL_STRENGTH = (
     1.9  # a dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera

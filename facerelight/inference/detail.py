@@ -11,11 +11,11 @@ from __future__ import annotations
 from torch import Tensor
 
 from facerelight.numerics.blur import gaussian_blur
+from facerelight.numerics.luminance import NOISE_FLOOR
 
 __all__ = ["keep_detail"]
 
 SCALE = 2 / 84  # image widths; shadow edges are coarser
-DARK = 2 / 255  # radiance; contrast below it is noise
 
 
 def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
@@ -46,10 +46,10 @@ def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
     if not 0 <= strength <= 1:
         raise ValueError(f"strength: expected 0 to 1, got {strength}")
     exchange = _detail(photo).unsqueeze(-3) / _detail(relit)
-    return ((relit.clamp_min(0) + DARK) * exchange.pow(strength) - DARK).clamp_min(0)
+    return ((relit.clamp_min(0) + NOISE_FLOOR) * exchange.pow(strength) - NOISE_FLOOR).clamp_min(0)
 
 
 def _detail(images: Tensor) -> Tensor:
     """``images / blurred images``, 1 where there is nothing to see."""
-    lifted = images.clamp_min(0) + DARK
+    lifted = images.clamp_min(0) + NOISE_FLOOR
     return lifted / gaussian_blur(lifted, SCALE * images.shape[-1])

@@ -9,6 +9,7 @@ from facerelight.geometry.lights import unit_lights
 from facerelight.light.estimator import GaussianBelief, LightEstimator
 from facerelight.numerics.gaussian import covariance_factor
 from facerelight.numerics.kernels import kernel_weights, neighbour_widths
+from facerelight.numerics.luminance import BLACK
 
 __all__ = ["KernelIlluminationEstimator"]
 
@@ -143,7 +144,7 @@ def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     small = torch.nn.functional.interpolate(images[:, None].float(), size=tuple(weight.shape), mode="area")
     small = (small * weight.to(images.device).float().sqrt()).flatten(1)
     energy = torch.linalg.vector_norm(small, dim=-1)
-    energy = torch.where(energy > 1e-6 * small.shape[1] ** 0.5, energy, torch.zeros_like(energy))
+    energy = torch.where(energy > BLACK * small.shape[1] ** 0.5, energy, torch.zeros_like(energy))
     return small / energy.clamp_min(1e-12)[:, None], energy
 
 

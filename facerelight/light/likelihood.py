@@ -13,6 +13,7 @@ from facerelight.light.estimator import LightEstimator
 from facerelight.model.covariance import image_covariance, light_terms, loadings_at, prior_mean
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
+from facerelight.numerics.luminance import BLACK
 
 __all__ = ["LikelihoodIlluminationEstimator"]
 
@@ -172,7 +173,7 @@ class GridBelief(NamedTuple):
 
 def _lit(images: Tensor) -> Tensor:
     """Which of ``images (M, H, W)`` hold any light, ``(M,)``."""
-    return images.flatten(1).abs().amax(1) > 1e-6
+    return images.flatten(1).abs().amax(1) > BLACK
 
 
 def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:

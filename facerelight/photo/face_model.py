@@ -16,20 +16,20 @@ from torch import Tensor
 
 from facerelight.config import default_statistics_folder, quality_config
 from facerelight.geometry.alignment import CropFrame
-from facerelight.geometry.sources import LUMINANCE, LightMixture
+from facerelight.geometry.sources import LightMixture
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
+from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
 from facerelight.numerics.sampling import quasi_normal
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
 __all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
 
-DARK = 0.05  # radiance below which a quotient of average faces would only amplify noise
 LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
@@ -166,7 +166,9 @@ class FaceModel:
         direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
         single = prior_mean(statistics, direction[None].to(statistics.lights)).view(statistics.size).cpu().clamp_min(0)
-        quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
+        quotient = ((single + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
+            1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
+        )
         return SourceLight(direction, amounts, luminance / strength * quotient)
 
     def crops(self, lights: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.numerics.blur import gaussian_blur
+from facerelight.numerics.luminance import NOISE_FLOOR
 
 __all__ = ["NORMALIZERS", "Inside", "TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
 
@@ -68,7 +69,7 @@ class WeberFaces(nn.Module):
         self.sigma, self.gain = sigma, gain
 
     def forward(self, images: Tensor) -> Tensor:
-        smooth = gaussian_blur(images.clamp_min(0), self.sigma) + 2 / 255
+        smooth = gaussian_blur(images.clamp_min(0), self.sigma) + NOISE_FLOOR
         around = nn.functional.avg_pool2d(nn.functional.pad(smooth[:, None], (1, 1, 1, 1), mode="replicate"), 3, 1)[
             :, 0
         ]

@@ -21,6 +21,7 @@ from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import LUMINANCE
 from facerelight.photo.faces.landmarks import find_landmarks
 from facerelight.photo.files.disk import find_people, read_photo
 
@@ -75,7 +76,8 @@ def _read_aligned(path: Path, frame: CropFrame) -> tuple[Tensor, Tensor]:
         except RuntimeError as error:
             raise ValueError(f"{path}: {error}") from error
     matrix = fit_similarity(landmarks, frame.landmarks)[None]
-    grey = kornia.color.rgb_to_grayscale(kornia.color.rgb_to_linear_rgb(coded))
+    linear = kornia.color.rgb_to_linear_rgb(coded)
+    grey = (linear * torch.tensor(LUMINANCE).to(linear)[:, None, None]).sum(1, keepdim=True)
     inside = warp_to_crop(
         torch.nn.functional.pad(torch.ones(1, 1, height, width), (1, 1, 1, 1)), _after_padding(matrix), frame
     )[0, 0]

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from facerelight.geometry.lights import angles_from_light, light_from_angles
-from facerelight.geometry.sources import FILL_STRENGTH, LUMINANCE, Lamp, LightMixture, fill_light, scene_light
+from facerelight.geometry.sources import FILL_STRENGTH, Lamp, LightMixture, fill_light, scene_light
+from facerelight.numerics.luminance import LUMINANCE
 
 POINTS = {0: 1, 1: 1, 5: 7, 15: 13, 40: 24, 90: 24}
 

@@ -3,8 +3,9 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from facerelight.inference.detail import DARK, SCALE, keep_detail
+from facerelight.inference.detail import SCALE, keep_detail
 from facerelight.numerics.blur import gaussian_blur
+from facerelight.numerics.luminance import NOISE_FLOOR
 
 
 def patterns(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -27,7 +28,7 @@ def test_detail_is_exchanged_as_the_docstring_says() -> None:
     sigma = SCALE * 42
 
     def layers(image: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-        lifted = image.double().numpy() + DARK
+        lifted = image.double().numpy() + NOISE_FLOOR
         base = gaussian_filter(lifted, sigma, mode="nearest", radius=int(3 * sigma + 0.5))
         return base, lifted / base
 
@@ -36,7 +37,7 @@ def test_detail_is_exchanged_as_the_docstring_says() -> None:
         for person in range(2):
             for light in range(3):
                 base, detail = layers(relit[person, light])
-                expected = base * detail ** (1 - strength) * layers(photo[person])[1] ** strength - DARK
+                expected = base * detail ** (1 - strength) * layers(photo[person])[1] ** strength - NOISE_FLOOR
                 assert np.abs(kept[person, light].numpy() - expected.clip(0)).max() < 1e-5
 
 
