@@ -44,7 +44,7 @@ class MaximumLikelihood:
         self.factor = gaussian.safe_cholesky(
             observed(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms))
         )  # (P, K, K)
-        average = statistics.weights(self.lights) @ statistics.v_mean.flatten(1)
+        average = self.terms.weights @ statistics.v_mean.flatten(1)  # (K, P)
         residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
         design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)
         self._design = gaussian.solve_lower(self.factor, design)
@@ -66,7 +66,7 @@ class MaximumLikelihood:
         cross = gaussian.solve_lower(
             self.factor, deviation_covariance(statistics, pixel, self.terms, terms)
         )  # L^-1 r, (P, K, 1)
-        average = (statistics.weights(target) @ statistics.v_mean.flatten(1)).double()[0]
+        average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]
         mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
         missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
         of_normal = gaussian.solve_lower(self._precision, missing).square().sum((1, 2))

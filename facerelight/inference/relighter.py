@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from facerelight.geometry.lights import unit_lights
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
-from facerelight.inference.posterior import PersonPosterior, Posterior, Relit
+from facerelight.inference.person import PersonPosterior
+from facerelight.inference.posterior import Posterior, Relit
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.covariance import prior_mean

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from facerelight.geometry.lights import angular_distance, even_hemisphere, nearest_lights
 from facerelight.light.estimator import LightEstimator
-from facerelight.model.covariance import image_covariance, light_terms, loadings_at, prior_mean
+from facerelight.model.covariance import image_covariance, light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.luminance import BLACK
@@ -68,12 +68,10 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         for light in grid.split(1):
             terms = light_terms(statistics, pixel, light, statistics.face)
             std = image_covariance(statistics, pixel, terms, terms)[places, 0, 0].sqrt()
-            means.append(prior_mean(statistics, light)[0, places])
+            means.append(terms.mean[0, places])
             stds.append(std.float())
             if statistics.face is not None:
-                white = (
-                    loadings_at(statistics, statistics.face, light)[0][:, places].T.double() / std[:, None]
-                )  # (P, k)
+                white = loadings_at(statistics.face, terms)[0][:, places].T.double() / std[:, None]  # (P, k)
                 temper = max(1.0, CODE_TEMPER * len(places))
                 factors.append(
                     gaussian.safe_cholesky(temper * torch.eye(white.shape[1], dtype=torch.float64) + white.T @ white)

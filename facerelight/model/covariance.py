@@ -31,15 +31,16 @@ EVERYWHERE = slice(None)
 
 
 class LightTerms(NamedTuple):
-    """What the covariances need to know of A lights at P pixels.
+    """What a model of A lights at P pixels is made of, gathered once.
 
-    ``light (A, 3)``; ``weights (A, J)``; ``std (A, P)``; ``factor (A, r, P)``, the interpolated correlation factor
-    times std; ``narrow (A, P)``, the part of std that only nearby lights share; ``lost (A, P)``, std of the loadings
-    lost to interpolation.
+    ``light (A, 3)``; ``weights (A, J)``; ``mean (A, P)``, the average face; ``std (A, P)``; ``factor (A, r, P)``, the
+    interpolated correlation factor times std; ``narrow (A, P)``, the part of std that only nearby lights share;
+    ``lost (A, P)``, std of the loadings lost to interpolation.
     """
 
     light: Tensor
     weights: Tensor
+    mean: Tensor
     std: Tensor
     factor: Tensor
     narrow: Tensor
@@ -50,33 +51,29 @@ def light_terms(
     statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None
 ) -> LightTerms:
     """Gather the terms of ``lights (A, 3)`` for the per-pixel statistics ``pixel`` (with ``face``: its residual's)."""
-    weights = statistics.weights(lights)
+    weights = statistics.weights(lights)  # (A, J)
+    mean = lights @ statistics.n_mean.flatten(1) + weights @ statistics.v_mean.flatten(1)  # (A, P)
     used = reached(weights)
     std = (weights[:, used] @ pixel.v_std[used].flatten(1).square()).sqrt()
-    learned = pixel.v_factor[used].flatten(2)
-    factor = (weights[:, used] @ learned.flatten(1)).unflatten(1, learned.shape[1:])
-    return LightTerms(lights, weights, std, factor * std[:, None], *narrow_terms(statistics, pixel, lights, face))
+    learned = pixel.v_factor[used].flatten(2)  # (J', r, P)
+    factor = (weights[:, used] @ learned.flatten(1)).unflatten(1, learned.shape[1:])  # (A, r, P)
+    return LightTerms(lights, weights, mean, std, factor * std[:, None], *narrow_terms(pixel, weights, face))
 
 
 def narrow_terms(
-    statistics: FaceStatistics,
-    pixel: PixelStatistics,
-    lights: Tensor,
-    face: FaceLoadings | None = None,
-    pixels: slice = EVERYWHERE,
+    pixel: PixelStatistics, weights: Tensor, face: FaceLoadings | None = None, pixels: slice = EVERYWHERE
 ) -> tuple[Tensor, Tensor]:
-    """``narrow`` and ``lost`` of :func:`light_terms`, ``(A, P)`` each, at some ``pixels``."""
-    weights = statistics.weights(lights)
+    """``narrow`` and ``lost`` of :func:`light_terms`, ``(A, P)`` each, at some ``pixels``, from ``weights (A, J)``."""
     used = reached(weights)
-    near = weights[:, used]
+    near = weights[:, used]  # (A, J')
     variance = pixel.v_std.flatten(1)[:, pixels][used].square()  # (J', P)
     learned = pixel.v_factor.flatten(2)[..., pixels][used].transpose(0, 1)  # (r, J', P)
-    own = (near @ learned).square_().sum(0).addmm_(near.square(), 1 - learned.square().sum(0))  # rho(s, s)
-    narrow = (1 - own).clamp_min_(0).mul_(near @ variance).sqrt_()
+    own = (near @ learned).square_().sum(0).addmm_(near.square(), 1 - learned.square().sum(0))  # rho(s, s), (A, P)
+    narrow = (1 - own).clamp_min_(0).mul_(near @ variance).sqrt_()  # (A, P)
     if face is None:
         return narrow, torch.zeros_like(narrow)
     kept = ((weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]).square_().sum(0)  # of (k, A, P)
-    lost = (near @ face.v_power.flatten(1)[:, pixels][used]).sub_(kept)
+    lost = (near @ face.v_power.flatten(1)[:, pixels][used]).sub_(kept)  # (A, P)
     return narrow, lost.clamp_min_(0).sqrt_()
 
 
@@ -101,7 +98,7 @@ def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: 
     paired = together[:, used] @ unique.double()  # (A B, P)
     paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
     narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
-    narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]
+    narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]  # (A, B, P)
     return torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
 
 
@@ -122,8 +119,8 @@ def observed(covariance: Tensor) -> Tensor:
     return covariance + own
 
 
-def loadings_at(statistics: FaceStatistics, face: FaceLoadings, lights: Tensor) -> Tensor:
-    """Loadings of the images under ``lights (A, 3)``: ``Lambda_n^T s + w(s).Lambda_v``, ``(A, k, P)``."""
-    of_n = lights @ face.n.flatten(2)  # (k, A, P)
-    of_v = (statistics.weights(lights) @ face.basis.T) @ face.v.flatten(2)
+def loadings_at(face: FaceLoadings, terms: LightTerms) -> Tensor:
+    """Loadings of the images under the lights of ``terms``: ``Lambda_n^T s + w(s).Lambda_v``, ``(A, k, P)``."""
+    of_n = terms.light @ face.n.flatten(2)  # (k, A, P)
+    of_v = (terms.weights @ face.basis.T) @ face.v.flatten(2)  # (k, A, P)
     return (of_n + of_v).transpose(0, 1)

@@ -80,15 +80,15 @@ def gather_grams(store: ImageStore, lights: Tensor, block: int) -> Grams:
     ).float()
     present = (~missing).float()
     for start in range(0, pixels, block):
-        images = store.block(start, min(start + block, pixels)).nan_to_num(0.0)
+        images = store.block(start, min(start + block, pixels)).nan_to_num(0.0)  # (N, J, P)
         if by_light:
             subjects += torch.einsum("njp,mjp->jnm", images, images).double()
         else:
-            rows = images.flatten(1)
+            rows = images.flatten(1)  # (N, J P)
             subjects[0] += (rows @ rows.T).double()
-        mean = images.sum(0) / present.sum(0)[:, None]
+        mean = images.sum(0) / present.sum(0)[:, None]  # (J, P)
         filled = torch.where(missing[..., None], mean, images) if missing.any() else images
-        v = off_lambert @ filled
+        v = off_lambert @ filled  # (J, J) @ (N, J, P)
         deviation += torch.einsum("njp,nkp->jk", v, v).double()
         mean_v = off_lambert @ mean
         mean_part += (mean_v @ mean_v.T).double()
@@ -109,15 +109,15 @@ def fill_operators(grams: Grams, ridge: float = 0.1) -> dict[int, Tensor]:
         operator = torch.eye(count, dtype=torch.float64)
         operator[gone] = (~gone).double() / (~gone).sum()
         for subject in gone.nonzero()[:, 0].tolist():
-            others = (~gone).nonzero()[:, 0]
+            others = (~gone).nonzero()[:, 0]  # (O,)
             seen = (~grams.missing[subject]) & (~grams.missing[others]).all(0)
             if not seen.any():
                 continue
-            gram = grams.subjects[seen].sum(0)
+            gram = grams.subjects[seen].sum(0)  # (N, N)
             centring = torch.eye(len(others), dtype=torch.float64) - 1 / len(others)
-            spread = centring @ gram[others][:, others] @ centring
+            spread = centring @ gram[others][:, others] @ centring  # (O, O)
             mean = gram[others].mean(0)
-            cross = centring @ (gram[others, subject] - mean[others])
+            cross = centring @ (gram[others, subject] - mean[others])  # (O,)
             penalty = ridge * spread.diagonal().mean() + 1e-12
             factor = safe_cholesky(spread + penalty * torch.eye(len(others), dtype=torch.float64))
             weights = torch.cholesky_solve(cross[:, None], factor)[:, 0]
@@ -154,7 +154,7 @@ def measure_brightness(store: ImageStore, total: Tensor, fill: dict[int, Tensor]
     """
     gain = torch.ones(len(total), dtype=torch.float64)
     for _ in range(5):
-        average = total @ (1 / gain)  # inner products with N times the average face
+        average = total @ (1 / gain)  # (N,), inner products with N times the average face
         gain = average / ((1 / gain) @ average) * len(gain)
         gain = gain / gain.log().mean().exp()
     light_count, pixels = store.shape[0], math.prod(store.shape[1:])
@@ -185,15 +185,15 @@ def face_operators(gram: Tensor, rank: int) -> FaceOperators:
         others[group] = 0
         mean = others / others.sum()
         components, values = _components(gram, mean, rank)
-        offset = torch.eye(count, dtype=torch.float64)[group] - mean
-        score = offset @ gram @ components.T
+        offset = torch.eye(count, dtype=torch.float64)[group] - mean  # (G, N), of the subjects left out
+        score = offset @ gram @ components.T  # (G, rank)
         residual[group] = offset - score @ components
         scores[group] = score / (values / (others.sum() - 1)).sqrt()
     shrink = fewest / (fewest + 1)  # makes rank 0 the sample variance with N - 1 degrees of freedom
     mean = torch.full((count,), 1 / count, dtype=torch.float64)
     components, values = _components(gram, mean, rank)
     scale = scores.square().mean(0) * shrink
-    loadings = components * (scale * values / (count - 1)).sqrt()[:, None]
+    loadings = components * (scale * values / (count - 1)).sqrt()[:, None]  # (rank, N)
     return FaceOperators(loadings.float(), (residual * shrink**0.5).float())
 
 
@@ -202,7 +202,7 @@ def _components(gram: Tensor, mean: Tensor, rank: int) -> tuple[Tensor, Tensor]:
     sums of squares."""
     members = mean > 0
     centring = torch.diag(members.double()) - torch.outer(members.double(), mean)
-    values, vectors = torch.linalg.eigh(centring @ gram @ centring.T)
+    values, vectors = torch.linalg.eigh(centring @ gram @ centring.T)  # (N,), (N, N)
     values, vectors = values.flip(0)[:rank].clamp_min(1e-12 * gram.diagonal().mean()), vectors.flip(1)[:, :rank]
     return (vectors.T @ centring) / values.sqrt()[:, None], values
 

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import angle_grid, even_hemisphere, hemisphere_quadrature
-from facerelight.inference.posterior import PersonPosterior, Posterior
+from facerelight.inference.person import PersonPosterior
+from facerelight.inference.posterior import Posterior
 from facerelight.recognition.subspaces import Subspace
 
 __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]

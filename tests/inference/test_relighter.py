@@ -53,7 +53,7 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
     every = torch.cat((sources, target))
     terms = light_terms(statistics, statistics.face.residual, every, statistics.face)
     local = image_covariance(statistics, statistics.face.residual, terms, terms)  # (P, 3, 3)
-    loadings = loadings_at(statistics, statistics.face, every)  # (3, k, P)
+    loadings = loadings_at(statistics.face, terms)  # (3, k, P)
     pixels = local.shape[0]
     joint = torch.einsum("akp,bkq->apbq", loadings, loadings)
     for p in range(pixels):
