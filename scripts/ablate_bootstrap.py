@@ -26,7 +26,7 @@ from facerelight.evaluation.recognition import evaluate_galleries, training_ligh
 from facerelight.geometry.lights import angle_pairs
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 PAINT = {
     "brows, eyes, lips": ("brows", "lips", "sockets", "iris"),

@@ -37,7 +37,7 @@ from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.mixture import draw_mixture, histogram_mode
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 from facerelight.viewpoint.regions import GroupRelighter, make_regions, random_groups
 from facerelight.viewpoint.views import LightViews
 

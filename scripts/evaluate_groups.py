@@ -25,7 +25,7 @@ from facerelight.geometry.lights import light_from_angles
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.gaussian import NumericalWarning
 from facerelight.numerics.shrinkage import KINDS
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 from facerelight.viewpoint.regions import GroupRelighter, GroupRelit, group_by_correlation, make_regions, random_groups
 from facerelight.viewpoint.views import LightViews
 

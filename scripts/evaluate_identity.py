@@ -26,7 +26,7 @@ from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.luminance import SHADOW
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 LEVELS = {"50": 0.6745, "80": 1.2816, "95": 1.96}
 

@@ -27,7 +27,7 @@ from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 DRAWS = 64
 

@@ -14,7 +14,7 @@ from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale, to_grid
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 GROUPS = 4
 

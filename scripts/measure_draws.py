@@ -18,7 +18,8 @@ from facerelight.cli import read_config
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.numerics.mixture import draw_mixture, histogram_mode, mixture_mode
-from facerelight.train.run import make_dataset, trained_folder
+from facerelight.train.dataset import make_dataset
+from facerelight.train.run import trained_folder
 
 COUNTS = (25, 50, 100, 200, 500, 1000)
 REFERENCE = 8192

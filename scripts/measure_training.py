@@ -23,7 +23,7 @@ from facerelight.bootstrap.effects import EFFECTS
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.config import TrainConfig
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -24,7 +24,7 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.mixture import draw_mixture, histogram_mode
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 from facerelight.viewpoint.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
 from facerelight.viewpoint.views import LightViews

@@ -23,7 +23,7 @@ from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 
 PLAIN = Domain(specular=0.028, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
 KNOBS: dict[str, tuple[float, ...]] = {

@@ -17,7 +17,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.exemplars import direct_subspace, light_moments, synthesize
 from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import make_normalizer
-from facerelight.train.run import make_dataset
+from facerelight.train.dataset import make_dataset
 from facerelight.viewpoint.pose import BootstrapViews, ViewRelighter
 
 

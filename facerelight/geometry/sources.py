@@ -21,9 +21,8 @@ from facerelight.numerics.luminance import LUMINANCE
 __all__ = ["Lamp", "LightMixture", "fill_light", "scene_light"]
 
 FILL_POINTS = 24
-FILL_STRENGTH = (
-    1.9  # a dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
-)
+# A dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
+FILL_STRENGTH = 1.9
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
 

@@ -13,10 +13,9 @@ from collections import Counter
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor, distributed
+from torch import distributed
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
@@ -27,45 +26,9 @@ from facerelight.model.image_store import ImageStore
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.adapt import adapt, read_people
 from facerelight.train.cross_validation import choose_face_options
+from facerelight.train.dataset import make_dataset
 
-if TYPE_CHECKING:
-    from facerelight.bootstrap.dataset import BootstrapDataset
-
-__all__ = ["make_dataset", "rendered_statistics", "train", "trained_folder"]
-
-
-def make_dataset(
-    config: TrainConfig,
-    lights: Tensor | None = None,
-    pose: tuple[float, float] = (0.0, 0.0),
-    expression: dict[str, float] | None = None,
-) -> BootstrapDataset:
-    """The people of a config as a torch dataset, under its own lights from the front unless told otherwise."""
-    from facerelight.bootstrap.dataset import BootstrapDataset  # OpenGL starts here and not before
-    from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads
-    from facerelight.bootstrap.meshes import MeshFolder
-
-    source: HeadSource
-    if expression and config.source != "makehuman":
-        raise ValueError(
-            f"expression: expected source 'makehuman', whose heads have expressions, got {config.source!r}"
-        )
-    if config.source == "makehuman":
-        source = MakeHumanHeads(config.seed, expression=expression)
-    elif Path(config.source).is_dir():
-        source = MeshFolder(config.source)
-        if len(source) < config.heads:
-            raise ValueError(f"heads: expected at most the {len(source)} meshes in {config.source}, got {config.heads}")
-    elif config.source.endswith(".npz"):
-        source = IctHeads(config.source, config.seed)
-    else:
-        raise ValueError(
-            f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}"
-        )
-    seen = config.directions() if lights is None else lights
-    return BootstrapDataset(
-        source, config.heads, seen, config.frame, config.domain, config.seed, config.effects, config.supersample, pose
-    )
+__all__ = ["rendered_statistics", "train", "trained_folder"]
 
 
 def train(

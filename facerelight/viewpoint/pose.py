@@ -92,7 +92,7 @@ class BootstrapViews:
         return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def _render(self, view: View) -> Tensor:
-        from facerelight.train.run import make_dataset
+        from facerelight.train.dataset import make_dataset
 
         light = light_from_angles(*view.light)[None]
         dataset = make_dataset(self.config, light, (view.azimuth, view.elevation), dict(view.expression))

@@ -268,3 +268,21 @@ def test_more_inputs_help_on_average(people: torch.Tensor, lights: torch.Tensor,
     prior = float((people[12:, 20:] - people[:12, 20:].mean(0)).square().mean())
     assert errors[0] < 0.7 * prior
     assert np.isfinite(errors).all()
+
+
+def test_what_a_light_needs_is_worked_out_once(
+    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel weights of the input lights once in a conditioning, those of the target lights once in a render."""
+    asked: list[int] = []
+    weights = FaceStatistics.weights
+
+    def counted(self: FaceStatistics, wanted: torch.Tensor) -> torch.Tensor:
+        asked.append(len(wanted))
+        return weights(self, wanted)
+
+    monkeypatch.setattr(FaceStatistics, "weights", counted)
+    posterior = StatisticalRelighter(statistics, "face").condition(people[12:13, [1, 9]], lights[[1, 9]])
+    assert asked == [2]
+    posterior.mean(lights[:5])
+    assert asked == [2, 5]
