@@ -95,9 +95,8 @@ class _FloatRenderer(Renderer):
         self._program_cache = _OneProgram(fragment)
         self.targets = targets
         self._main_fb: int | None = None
-        self.window: tuple[int, int, int, int] | None = (
-            None  # left, top, width, height: the part that is drawn and read
-        )
+        # left, top, width, height of the part that is drawn and read; None: all of it
+        self.window: tuple[int, int, int, int] | None = None
 
     def _configure_main_framebuffer(self) -> None:
         size = self.viewport_width, self.viewport_height
@@ -232,9 +231,8 @@ def _scene(vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray, fea
         positions=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
         texcoord_0=feature[:, 3:].repeat(2, axis=1),
-        color_0=np.concatenate(
-            (feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1
-        ),  # alpha below 1 would switch blending on
+        # Alpha below 1 would switch blending on.
+        color_0=np.concatenate((feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1),
         indices=triangles.astype(np.uint32),
     )
     scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))

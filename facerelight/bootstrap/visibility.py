@@ -38,9 +38,8 @@ def possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     slope = float(light[2]) / sideways
     x, y = (light[:2] / sideways).tolist()
     climb = relief.slope[0 if x > 0 else 1] * np.float32(abs(x)) + relief.slope[2 if y > 0 else 3] * np.float32(abs(y))
-    grazing = slope - GRAZING / sideways * np.sqrt(
-        1 + climb**2
-    )  # facets that face the light by less than this may shade themselves
+    # Facets that face the light by less than this may shade themselves.
+    grazing = slope - GRAZING / sideways * np.sqrt(1 + climb**2)
     steep = cv2.dilate(((climb >= np.minimum(grazing, STEEPEST)) | relief.cliff).astype(np.uint8), AROUND)
     # the turned map: columns towards the light, rows across; the visible pixels are all in it
     column, row = relief.corner
@@ -90,9 +89,8 @@ def visibility(surface: Surface, light: Tensor, where: Tensor, renderer: MeshRen
         left, top, right, bottom = 0, 0, size, size
     height = renderer.heights(direction, (left, top, right - left, bottom - top))
     cosine = (surface.normal[cast] @ light).clamp(0.15, 1)
-    least = local[:, 2] + texel * (
-        6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine
-    )  # what hides a point stands higher than this
+    # What hides a point stands higher than this.
+    least = local[:, 2] + texel * (6.0 + 5.0 * (1 - cosine**2).sqrt() / cosine)
     row, column = row - top, column - left
     if exhaustive:
         return _filtered(torch.from_numpy(height), row, column, least, texel)

@@ -41,9 +41,8 @@ class MaximumLikelihood:
                 f" got {len(lights)} with condition number {condition:.3g}; give more lights or use method='expected'"
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
-        self.factor = gaussian.safe_cholesky(
-            observed(deviation_covariance(statistics, statistics.pixel, self.terms, self.terms))
-        )  # (P, K, K)
+        covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)
+        self.factor = gaussian.safe_cholesky(observed(covariance))
         average = self.terms.weights @ statistics.v_mean.flatten(1)  # (K, P)
         residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
         design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)
@@ -63,9 +62,8 @@ class MaximumLikelihood:
         assert pixel is not None
         target = unit_lights(target)[None]
         terms = light_terms(statistics, pixel, target)
-        cross = gaussian.solve_lower(
-            self.factor, deviation_covariance(statistics, pixel, self.terms, terms)
-        )  # L^-1 r, (P, K, 1)
+        shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
+        cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r
         average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]
         mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
         missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)

@@ -170,9 +170,8 @@ class PersonPosterior:
         near = [self._near(targets, evidence) for evidence in self.evidence]
         count, pixels = len(targets), maps.shape[1]
         image = maps.new_empty(count, pixels)
-        scratch = maps.new_empty(
-            2, count * min(pixels, PIXELS_AT_ONCE)
-        )  # fresh memory for every block would cost as much as the products
+        # Fresh memory for every block would cost as much as the products.
+        scratch = maps.new_empty(2, count * min(pixels, PIXELS_AT_ONCE))
         for start in range(0, pixels, PIXELS_AT_ONCE):
             here = slice(start, min(start + PIXELS_AT_ONCE, pixels))
             block, pull = (buffer[: count * (here.stop - start)].view(count, -1) for buffer in scratch)

@@ -87,9 +87,8 @@ def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]
             raise ValueError(
                 f"{path}: expected {name} of shape ({wanted}), got {tensors[name].dtype} {got}; train anew"
             )
-        quick = torch.isfinite(
-            tensors[name].sum()
-        )  # NaN and infinity outlive a sum; a sum too large is looked at twice
+        # NaN and infinity outlive a sum; a sum too large is looked at twice.
+        quick = torch.isfinite(tensors[name].sum())
         if not quick and not torch.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: expected finite statistics, got NaN or infinity in {name}; train anew")
     return tensors, header

@@ -90,11 +90,8 @@ class GaussianClassifier(Classifier):
     def _scores(self, rows: Tensor) -> Tensor:
         """Log likelihood of ``rows (M, D)`` under each person, in nats a pixel, ``(M, C)``."""
         size, width = self.bases.shape[1:]
-        rows, means, bases = (
-            rows.double(),
-            self.means.double(),
-            self.bases.double(),
-        )  # the noise divides a difference of large numbers
+        # The noise divides a difference of large numbers.
+        rows, means, bases = rows.double(), self.means.double(), self.bases.double()
         offset = torch.einsum("sdk,sd->sk", bases, means)
         inside = (torch.matmul(rows, bases).transpose(0, 1) - offset).square()  # (M, S, k)
         length = rows.square().sum(1, keepdim=True) - 2 * rows @ means.T + means.square().sum(1)

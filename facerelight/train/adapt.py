@@ -19,7 +19,7 @@ from torch import Tensor
 from facerelight.geometry.alignment import CANONICAL_LANDMARKS, CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.estimator import LightEstimator
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.luminance import LUMINANCE
 from facerelight.photo.faces.landmarks import find_landmarks
@@ -92,7 +92,7 @@ def _after_padding(matrix: Tensor) -> Tensor:
 def adapt(
     statistics: FaceStatistics,
     people: list[Person],
-    estimator: KernelIlluminationEstimator | None = None,
+    estimator: LightEstimator | None = None,
     prior_heads: float = 2.0,
 ) -> FaceStatistics:
     """Statistics of the rendered heads and ``people`` together.
@@ -128,9 +128,8 @@ def adapt(
     mean = torch.stack([images / gain for images, gain in zip(completed, gains, strict=True)]).mean(0)
     heads, count = len(statistics.store), len(people)
     posterior_mean = (prior_heads * rendered_mean + count * mean) / (prior_heads + count)
-    move = (
-        (heads + count) * posterior_mean - count * mean
-    ) / heads - rendered_mean  # so that all of them together have that mean
+    # So that all of them together have that mean.
+    move = ((heads + count) * posterior_mean - count * mean) / heads - rendered_mean
     adapted = FaceStatistics(statistics.lights, statistics.options)
     for array in statistics.store:
         images = torch.from_numpy(array.copy())

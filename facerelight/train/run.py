@@ -56,9 +56,8 @@ def train(
         The report: sizes, kernel width, seconds, peak memory, and passes and pixels run and skipped by effect.
     """
     folder = Path(folder)
-    people = (
-        read_people(adapt_to, config.frame) if adapt_to else []
-    )  # first, so that a bad photo is known before the rendering
+    # First, so that a bad photo is known before the rendering.
+    people = read_people(adapt_to, config.frame) if adapt_to else []
     rank, processes = _join_processes()
     if rank == 0:
         _start_images(folder, config)
