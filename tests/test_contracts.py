@@ -65,8 +65,8 @@ class Glow(Effect):
     def where(self, scene: Scene) -> torch.Tensor:
         return scene.surface.pixel < scene.surface.size[0] // 2 * scene.surface.size[1]
 
-    def emit(self, scene: Scene, where: torch.Tensor, light: LampLight) -> torch.Tensor:
-        return torch.full((int(where.sum()),), 0.25)
+    def emit(self, scene: Scene, pixels: torch.Tensor | slice, light: LampLight) -> torch.Tensor:
+        return torch.full_like(scene.facing[pixels], 0.25)
 
 
 @pytest.fixture

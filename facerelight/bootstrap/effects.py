@@ -69,9 +69,9 @@ class Effect:
     def attenuate(self, scene: Scene, where: Tensor, light: LampLight, renderer: MeshRenderer) -> None:
         """Take from ``light``, in place, what does not reach the pixels ``where``."""
 
-    def emit(self, scene: Scene, where: Tensor, light: LampLight) -> Tensor | None:
-        """Radiance that is added at the pixels ``where``, one value each; a white matte surface facing the light has
-        1."""
+    def emit(self, scene: Scene, pixels: Tensor | slice, light: LampLight) -> Tensor | None:
+        """Radiance that is added at ``pixels`` (a mask, or the slice of all), one value each; a white matte surface
+        facing the light has 1."""
         return None
 
 
@@ -86,7 +86,7 @@ class AttachedShadow(Effect):
 
     def attenuate(self, scene: Scene, where: Tensor, light: LampLight, renderer: MeshRenderer) -> None:
         """No light falls from below the surface."""
-        light.facing = torch.where(where, light.facing.clamp_min(0), light.facing)
+        light.facing = light.facing.clamp_min(0)
 
 
 class CastShadow(Effect):
@@ -116,9 +116,9 @@ class SpecularHighlight(Effect):
             return torch.zeros_like(lit)
         return lit & (scene.surface.normal @ half_way(scene.light) > highlight_reach(scene.material))
 
-    def emit(self, scene: Scene, where: Tensor, light: LampLight) -> Tensor:
+    def emit(self, scene: Scene, pixels: Tensor | slice, light: LampLight) -> Tensor:
         """Torrance and Sparrow's highlight of the part of the lamp that is seen."""
-        return light.seen[where] * scene.lamp * highlight(scene.surface.normal[where], scene.light, scene.material)
+        return light.seen[pixels] * scene.lamp * highlight(scene.surface.normal[pixels], scene.light, scene.material)
 
 
 class AmbientFill(Effect):
@@ -130,10 +130,10 @@ class AmbientFill(Effect):
         """Everywhere, or nowhere."""
         return torch.full_like(scene.facing, scene.material.fill > 0, dtype=torch.bool)
 
-    def emit(self, scene: Scene, where: Tensor, light: LampLight) -> Tensor:
+    def emit(self, scene: Scene, pixels: Tensor | slice, light: LampLight) -> Tensor:
         """A fraction of what the albedo makes of the lamp."""
         surface = scene.surface
-        return surface.albedo[where] * scene.material.fill * (0.5 + 0.5 * surface.normal[where, 2])
+        return surface.albedo[pixels] * scene.material.fill * (0.5 + 0.5 * surface.normal[pixels, 2])
 
 
 EFFECTS: dict[str, Effect] = {

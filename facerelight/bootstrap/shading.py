@@ -74,9 +74,10 @@ def shade(
         EFFECTS[name].attenuate(scene, where, lamp_light, renderer)
     radiance = surface.albedo * lamp_light.facing * lamp_light.seen * scene.lamp  # (P,)
     for name, where in plan.where.items():
-        added = EFFECTS[name].emit(scene, where, lamp_light)
+        pixels = slice(None) if where.all() else where  # a mask of everything would be copied through
+        added = EFFECTS[name].emit(scene, pixels, lamp_light)
         if added is not None:
-            radiance[where] += added
+            radiance[pixels] += added
     if work is not None:
         for name in EFFECTS:
             touched = int(plan.where[name].sum()) if name in plan.where else 0
