@@ -20,7 +20,19 @@ from facerelight.geometry.lights import even_hemisphere, light_from_angles, merg
 from facerelight.model.file import FORMAT_VERSION
 from facerelight.model.learning import FitOptions
 
-__all__ = ["DEFAULT_CONFIG", "QUALITIES", "TrainConfig", "cache_folder", "default_statistics_folder", "quality_config"]
+__all__ = [
+    "DEFAULT_CONFIG",
+    "PACKAGED",
+    "QUALITIES",
+    "TrainConfig",
+    "cache_folder",
+    "default_statistics_folder",
+    "find_statistics",
+    "quality_config",
+]
+
+PACKAGED = Path(__file__).parent / "data" / "standard"
+"""The statistics of :data:`DEFAULT_CONFIG` that the package brings; ``scripts/data/pack_statistics.py`` makes them."""
 
 
 @dataclass(frozen=True)
@@ -122,3 +134,15 @@ def cache_folder() -> Path:
 def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path:
     """Where the statistics of ``config`` are cached, under ``cache`` (default: :func:`cache_folder`)."""
     return Path(cache or cache_folder()) / "statistics" / config.key()
+
+
+def find_statistics(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path | None:
+    """The folder with statistics of ``config``, or None where they have to be trained.
+
+    The packaged ones for the default config, so that it gives everyone the same pictures; else what is cached. Of a
+    ``cache`` that is named only that.
+    """
+    if cache is None and config == DEFAULT_CONFIG:
+        return PACKAGED
+    folder = default_statistics_folder(config, cache)
+    return folder if (folder / "statistics.safetensors").exists() else None

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# From a clean clone to a relit photograph: set up, train the default statistics once, relight the astronaut under eight lights.
+# From a clean clone to a relit photograph: set up, relight the astronaut under eight lights.
 source "$(dirname "$0")/setup_env.sh" demo
 mkdir -p outputs
 .venv/bin/python -c '

@@ -12,7 +12,11 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import trimesh
+
+try:
+    import trimesh
+except ModuleNotFoundError as error:
+    raise RuntimeError('heads need trimesh, which is not installed; pip install "facerelight[train]"') from error
 
 __all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads"]
 

@@ -27,6 +27,10 @@ try:
     from pyrender.platforms import egl
     from pyrender.renderer import Renderer
     from pyrender.shader_program import ShaderProgramCache
+except ModuleNotFoundError as error:
+    raise RuntimeError(
+        f'rendering needs {error.name}, which is not installed; pip install "facerelight[train]"'
+    ) from error
 except (ImportError, AttributeError, OSError) as error:  # PyOpenGL raises any of these where libEGL is absent
     raise RuntimeError(
         f"rendering needs EGL, which could not be loaded ({error});"

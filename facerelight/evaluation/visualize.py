@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from torch import Tensor
+
+try:
+    import matplotlib
+    from matplotlib.figure import Figure
+except ModuleNotFoundError as error:
+    raise RuntimeError('pictures need matplotlib, which is not installed; pip install "facerelight[plot]"') from error
 
 __all__ = ["contact_sheet", "needle_map"]
 

@@ -10,6 +10,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from facerelight.model.compression import checksum, compress, decompress
+
 __all__ = ["FORMAT_VERSION", "read_tensors", "write_tensors"]
 
 FORMAT = "facerelight-statistics"
@@ -38,10 +40,19 @@ FACE_LAYOUT = {
 }
 
 
-def write_tensors(path: str | Path, tensors: dict[str, Tensor], notes: dict[str, object]) -> None:
-    """Write tensors and notes, atomically."""
+def write_tensors(
+    path: str | Path, tensors: dict[str, Tensor], notes: dict[str, object], coarseness: float = 0.0
+) -> None:
+    """Write tensors and notes, atomically.
+
+    Args:
+        coarseness: above 0 compressed, see :func:`facerelight.model.compression.compress`, and with a checksum.
+    """
     path = Path(path)
     header = {"format": FORMAT, "version": FORMAT_VERSION, **notes}
+    if coarseness:
+        tensors = compress({name: tensor.cpu() for name, tensor in tensors.items()}, coarseness)
+        header |= {"compressed": True, "checksum": checksum(tensors)}
     partial = path.with_name(path.name + ".part")
     save_file(
         {name: tensor.contiguous() for name, tensor in tensors.items()},
@@ -52,7 +63,7 @@ def write_tensors(path: str | Path, tensors: dict[str, Tensor], notes: dict[str,
 
 
 def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]]:
-    """Read tensors, complete, finite and of fitting shapes, and the notes that were written with them.
+    """Read tensors, compressed or not; complete, finite and of fitting shapes, and the notes written with them.
 
     Raises:
         ValueError: anything else; says what was expected and what was found.
@@ -71,6 +82,8 @@ def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]
         raise ValueError(
             f"{path}: expected statistics of version {FORMAT_VERSION}, got {found[0]} {found[1]}; train anew"
         )
+    if header.pop("compressed", False):
+        tensors = _decompressed(path, tensors, header.pop("checksum", None))
     sizes: dict[str, int] = {"3": 3}
     for name, shape in {**LAYOUT, **(FACE_LAYOUT if any(name.startswith("face.") for name in tensors) else {})}.items():
         letters = shape.split()
@@ -92,3 +105,15 @@ def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]
         if not quick and not torch.isfinite(tensors[name]).all():
             raise ValueError(f"{path}: expected finite statistics, got NaN or infinity in {name}; train anew")
     return tensors, header
+
+
+def _decompressed(path: Path, packed: dict[str, Tensor], expected: object) -> dict[str, Tensor]:
+    found = checksum(packed)
+    if found != expected:
+        raise ValueError(
+            f"{path}: expected statistics with checksum {expected}, got {found}; copy or install them anew"
+        )
+    try:
+        return decompress(packed)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}; train anew") from error

@@ -226,11 +226,14 @@ class FaceStatistics(nn.Module):
             raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
         return int(self.n_mean.shape[-2]), int(self.n_mean.shape[-1])
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, coarseness: float = 0.0) -> None:
         """Write a safetensors file, atomically: tensors, and as metadata the format version, options and
-        ``self.metadata``."""
+        ``self.metadata``.
+
+        With a ``coarseness`` above 0 it is compressed, see :mod:`facerelight.model.compression`.
+        """
         _ = self.size
-        write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata})
+        write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata}, coarseness)
 
     @classmethod
     def load(cls, path: str | Path) -> FaceStatistics:
@@ -270,7 +273,7 @@ class FaceStatistics(nn.Module):
             "lights": len(self.lights),
             "median_spacing_deg": float(spacing.median()),
             "kernel_width": float(torch.rad2deg(self.light_widths.median())),
-            "rank": self.options.rank,
+            "rank": self.options.rank if self.pixel is None else self.pixel.v_factor.shape[1],
             "face_rank": 0 if self.face is None else len(self.face.n),
             "temper": self.options.temper,
         }

@@ -62,7 +62,7 @@ def relight_parser() -> ArgumentParser:
     option("--method", default="expected", choices=RELIGHTING_METHODS, help=f"{methods} (default: expected)")
     option("--covariance", default="face", choices=COVARIANCES, help="whole-face or per-pixel model (default: face)")
     option("--quality", default="standard", choices=QUALITIES, help="of the statistics (default: standard)")
-    option("--statistics", metavar="FOLDER", help="trained statistics (default: the user's cache)")
+    option("--statistics", metavar="FOLDER", help="trained statistics (default: those of the quality)")
     return parser
 
 

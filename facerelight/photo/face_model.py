@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.config import default_statistics_folder, quality_config
+from facerelight.config import default_statistics_folder, find_statistics, quality_config
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.sources import LightMixture
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
@@ -50,16 +50,22 @@ class SourceLight(NamedTuple):
 
 
 def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
-    """The relighter with the cached statistics of a quality, see :data:`facerelight.config.QUALITIES`.
+    """The relighter with packaged or cached statistics of a quality, see :func:`facerelight.config.find_statistics`.
+
+    Args:
+        quality: see :data:`facerelight.config.QUALITIES`; "standard" comes with the package.
+        cache: look only here; None: the package, then the user's cache.
 
     Raises:
         ValueError: an unknown quality.
         RuntimeError: they have not been trained yet; says which command does it.
     """
-    folder = default_statistics_folder(quality_config(quality), cache)
-    if not (folder / "statistics.safetensors").exists():
+    config = quality_config(quality)
+    folder = find_statistics(config, cache)
+    if folder is None:
+        place = default_statistics_folder(config, cache)
         command = "facerelight train" if quality == "standard" else f"facerelight relight PHOTO --quality {quality}"
-        raise RuntimeError(f"statistics: none of quality {quality!r} in {folder}; train them once with `{command}`")
+        raise RuntimeError(f"statistics: none of quality {quality!r} in {place}; train them once with `{command}`")
     return StatisticalRelighter.from_pretrained(folder)
 
 

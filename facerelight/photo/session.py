@@ -84,7 +84,7 @@ def relight(
         elevation: degrees; positive above.
         landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None
             finds the largest face.
-        relighter: default: the one with the cached statistics of ``quality`` (``facerelight train`` makes them).
+        relighter: default: the one with the statistics of ``quality``, see :func:`load_relighter`.
         quality: "draft", "standard" or "reference": coarser statistics of fewer heads, or finer ones of more.
         lights: several lamps, or other mixtures of lights, instead of one at ``azimuth``, ``elevation``.
         size: angular radius of the lamp in degrees: 1 a bare bulb, 5 a small reflector, 15 a soft box, 40 a window.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import sys
 import time
@@ -19,7 +18,7 @@ from torch import distributed
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
-from facerelight.config import TrainConfig, default_statistics_folder
+from facerelight.config import TrainConfig, default_statistics_folder, find_statistics
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.image_store import ImageStore
@@ -112,8 +111,7 @@ def train(
         "adapted_to": len(people),
         "render_seconds": round(rendered - started, 1),
         "solve_seconds": round(time.perf_counter() - rendered, 1),
-        "peak_memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024),
-        "worker_peak_memory_mb": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024),
+        **_peak_memory(),
         "work": dict(sorted(work.items())),
     }
     (folder / "report.json").write_text(json.dumps(report, indent=2))
@@ -122,11 +120,13 @@ def train(
 
 
 def trained_folder(config: TrainConfig) -> Path:
-    """The cached statistics of ``config``; trained now, and said so, where there are none yet."""
+    """The packaged or cached statistics of ``config``; trained now, and said so, where there are none yet."""
+    found = find_statistics(config)
+    if found is not None:
+        return found
     folder = default_statistics_folder(config)
-    if not (folder / "statistics.safetensors").exists():
-        print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
-        train(config, folder)
+    print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
+    train(config, folder)
     return folder
 
 
@@ -170,6 +170,18 @@ def _one_thread(_: int) -> None:
     """Workers share the cores among themselves: one thread each, for torch and for the software renderer."""
     torch.set_num_threads(1)
     os.environ["LP_NUM_THREADS"] = "1"
+
+
+def _peak_memory() -> dict[str, object]:
+    """Of this process and of its workers; nothing where the system does not say (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return {}
+    own, workers = (
+        resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return {"peak_memory_mb": round(own), "worker_peak_memory_mb": round(workers)}
 
 
 def _as_is(item: object) -> object:

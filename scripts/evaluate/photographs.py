@@ -132,7 +132,7 @@ def over(values: list[float], summary: object) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="of photographs")
-    parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the cached one")
+    parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the packaged one")
     parser.add_argument("--truth", type=Path, default=None, help="folder with lps_head.npz and color.jpg")
     parser.add_argument("--cache", type=Path, default=None, help="of ray-traced light; default: the user's")
     parser.add_argument("--output", type=Path, default=None, help="folder for the relit photographs")

@@ -209,7 +209,7 @@ def main() -> int:
     parser.add_argument("--tone", default="fair,deep", help=f"of {', '.join(TONES)}: several with commas")
     parser.add_argument("--yaw", type=float, default=0.0, help="degrees by which the head turns")
     parser.add_argument("--methods", default="copy,facerelight", help="several with commas, or all")
-    parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the cached one")
+    parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the packaged one")
     parser.add_argument("--cache", type=Path, default=None, help="of ray-traced light; default: the user's")
     parser.add_argument("--output", type=Path, default=None, help="folder for pictures")
     parser.add_argument("--threads", type=int, default=2, help="default: 2")
