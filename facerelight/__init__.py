@@ -4,39 +4,83 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from facerelight.detail import keep_detail
-    from facerelight.illumination import KernelIlluminationEstimator
-    from facerelight.lights import angles_from_light, light_from_angles
+    from facerelight.config import TrainConfig
+    from facerelight.geometry.lights import angles_from_light, light_from_angles
+    from facerelight.geometry.sources import Lamp, LightMixture
+    from facerelight.inference.detail import keep_detail
+    from facerelight.inference.relighter import StatisticalRelighter
+    from facerelight.light.estimator import LightEstimator
+    from facerelight.light.kernel import KernelIlluminationEstimator
+    from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+    from facerelight.model.learning import FitOptions
+    from facerelight.model.statistics import FaceStatistics
     from facerelight.photo import PhotoRelighter, relight
-    from facerelight.relighter import StatisticalRelighter
-    from facerelight.sources import Lamp, LightMixture
-    from facerelight.statistics import FaceStatistics
+    from facerelight.recognition.class_conditional import GaussianClassifier
+    from facerelight.recognition.classifier import Classifier, SumClassifier
+    from facerelight.recognition.gallery import Gallery
+    from facerelight.recognition.nearest import NearestNeighborClassifier
+    from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
+    from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
+    from facerelight.viewpoint.regions import GroupRelighter
+    from facerelight.viewpoint.views import LightViews
+
+_HOMES = {
+    "BootstrapViews": "viewpoint.pose",
+    "Classifier": "recognition.classifier",
+    "FaceStatistics": "model.statistics",
+    "FitOptions": "model.learning",
+    "Gallery": "recognition.gallery",
+    "GaussianClassifier": "recognition.class_conditional",
+    "GlobalPCAClassifier": "recognition.pca",
+    "GroupRelighter": "viewpoint.regions",
+    "IndividualPCAClassifier": "recognition.pca",
+    "KernelIlluminationEstimator": "light.kernel",
+    "Lamp": "geometry.sources",
+    "LightEstimator": "light.estimator",
+    "LightMixture": "geometry.sources",
+    "LightViews": "viewpoint.views",
+    "LikelihoodIlluminationEstimator": "light.likelihood",
+    "NearestNeighborClassifier": "recognition.nearest",
+    "PhotoRelighter": "photo",
+    "StatisticalRelighter": "inference.relighter",
+    "SumClassifier": "recognition.classifier",
+    "TrainConfig": "config",
+    "View": "viewpoint.pose",
+    "ViewRelighter": "viewpoint.pose",
+    "angles_from_light": "geometry.lights",
+    "keep_detail": "inference.detail",
+    "light_from_angles": "geometry.lights",
+    "relight": "photo",
+}
 
 __all__ = [
+    "BootstrapViews",
+    "Classifier",
     "FaceStatistics",
+    "FitOptions",
+    "Gallery",
+    "GaussianClassifier",
+    "GlobalPCAClassifier",
+    "GroupRelighter",
+    "IndividualPCAClassifier",
     "KernelIlluminationEstimator",
     "Lamp",
+    "LightEstimator",
     "LightMixture",
+    "LightViews",
+    "LikelihoodIlluminationEstimator",
+    "NearestNeighborClassifier",
     "PhotoRelighter",
     "StatisticalRelighter",
+    "SumClassifier",
+    "TrainConfig",
+    "View",
+    "ViewRelighter",
     "angles_from_light",
     "keep_detail",
     "light_from_angles",
     "relight",
 ]
-
-_HOMES = {
-    "FaceStatistics": "statistics",
-    "KernelIlluminationEstimator": "illumination",
-    "Lamp": "sources",
-    "LightMixture": "sources",
-    "PhotoRelighter": "photo",
-    "StatisticalRelighter": "relighter",
-    "angles_from_light": "lights",
-    "keep_detail": "detail",
-    "light_from_angles": "lights",
-    "relight": "photo",
-}
 
 
 def __getattr__(name: str) -> Any:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # help and errors of the command line need no torch
 __all__ = ["main", "read_config"]
 
 QUALITIES = ("draft", "standard", "reference")
+TRAINING_NEEDS = ("OpenGL", "jsonargparse", "pyrender", "tqdm", "trimesh", "yaml")
 VERBS = {
     "train": "render heads and learn statistics",
     "relight": "relight photos",
@@ -37,6 +38,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(leaving.code or 0)
     except ValueError as error:
         return _failed(2, str(error))
+    except ModuleNotFoundError as error:
+        if str(error.name).split(".")[0] not in TRAINING_NEEDS:
+            raise
+        return _failed(3, f'{error.name} is not installed, which only training needs; pip install "facerelight[train]"')
     except OSError as error:
         return _failed(2, f"{error.filename or 'files'}: {error.strerror or error}")
     except MemoryError:
@@ -113,14 +118,14 @@ def _recognize_parser() -> ArgumentParser:
     option("--photos", nargs="*", default=[], help="photos to identify")
     option("--reject", type=float, help="largest error (1 - cosine) that is not a stranger")
     option("--quality", default="standard", choices=QUALITIES, help="of the statistics (default: standard)")
-    option("--statistics", metavar="FOLDER", help="trained statistics (default: the user's cache)")
+    option("--statistics", metavar="FOLDER", help="trained statistics (default: those of the quality)")
     option("--json", action="store_true", help="print the answers as JSON")
     return parser
 
 
 def _train(argv: list[str]) -> int:
-    from facerelight.config import default_statistics_folder
-    from facerelight.training import train
+    from facerelight.config import PACKAGED, default_statistics_folder, find_statistics
+    from facerelight.train.run import train
 
     arguments = _train_parser().parse_args(argv)
     config = _config(arguments)
@@ -134,6 +139,8 @@ def _train(argv: list[str]) -> int:
         for name, value in report.items():
             print(f"{name}: {value}")
         print(f"saved: {folder}")
+    if find_statistics(config) == PACKAGED:
+        print(f"facerelight: to use them instead of the packaged ones: --statistics {folder}", file=sys.stderr)
     return 0
 
 
@@ -149,7 +156,7 @@ def _config(arguments: jsonargparse.Namespace) -> TrainConfig:
 
     from facerelight.bootstrap.domain import Domain
     from facerelight.config import TrainConfig
-    from facerelight.statistics import FitOptions
+    from facerelight.model.learning import FitOptions
 
     values = {field.name: arguments[field.name] for field in fields(TrainConfig)}
     for name, kind in (("fit", FitOptions), ("domain", Domain)):
@@ -168,9 +175,9 @@ def _relight(argv: list[str]) -> int:
 
 def _recognize(argv: list[str]) -> int:
     arguments = _recognize_parser().parse_args(argv)
+    from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.files.disk import find_people
     from facerelight.recognition.gallery import Gallery
-    from facerelight.relighter import StatisticalRelighter
 
     if not arguments.enroll and not arguments.photos:
         raise ValueError("recognize: expected --enroll FOLDER, --photos FILE ..., or both")
@@ -196,13 +203,18 @@ def _recognize(argv: list[str]) -> int:
 
 
 def _statistics_folder(given: str | None, quality: str) -> Path:
-    """The folder asked for; by default the cached statistics, which are trained where there are none yet."""
+    """The folder asked for; by default packaged or cached statistics, trained where there are none yet."""
     if given:
         return Path(given)
-    from facerelight.config import quality_config
-    from facerelight.training import trained_folder
+    from facerelight.config import find_statistics, quality_config
 
-    return trained_folder(quality_config(quality))
+    config = quality_config(quality)
+    found = find_statistics(config)
+    if found is not None:
+        return found
+    from facerelight.train.run import trained_folder
+
+    return trained_folder(config)
 
 
 def _version() -> str:

@@ -1,4 +1,5 @@
-"""What a training run is: heads, lights, crop, paint and how to fit; read from YAML and from command-line flags alike."""
+"""What a training run is: heads, lights, crop, paint and how to fit; read from YAML and from command-line flags
+alike."""
 
 from __future__ import annotations
 
@@ -13,13 +14,25 @@ import torch
 from platformdirs import user_cache_path
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
 from facerelight.bootstrap.domain import Domain
-from facerelight.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
-from facerelight.statistics import FitOptions
-from facerelight.statistics_file import FORMAT_VERSION
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
+from facerelight.model.file import FORMAT_VERSION
+from facerelight.model.learning import FitOptions
 
-__all__ = ["DEFAULT_CONFIG", "QUALITIES", "TrainConfig", "cache_folder", "default_statistics_folder", "quality_config"]
+__all__ = [
+    "DEFAULT_CONFIG",
+    "PACKAGED",
+    "QUALITIES",
+    "TrainConfig",
+    "cache_folder",
+    "default_statistics_folder",
+    "find_statistics",
+    "quality_config",
+]
+
+PACKAGED = Path(__file__).parent / "data" / "standard"
+"""The statistics of :data:`DEFAULT_CONFIG` that the package brings; ``scripts/data/pack_statistics.py`` makes them."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +42,15 @@ class TrainConfig:
     Args:
         heads: how many people to render.
         source: "makehuman" (packed with the package), a folder of meshes, or the path of ``ict_heads.npz``.
-        lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal light); or a list of
-            (azimuth, elevation) in degrees, such as the lights of a certain rig.
+        lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal
+            light); or a list of (azimuth, elevation) in degrees, such as the lights of a certain rig.
         height, width, margin: the crop; margin is a fraction of the canonical crop added on every side.
         supersample: rendered samples a pixel along each side.
         seed: of the heads and their paint.
         effects: "auto" simulates what each scene calls for, "all" everything; the images are the same.
         domain: the rendered world.
-        choose_rank: choose the whole-face rank and temper by cross-validation over the rendered people, instead of taking those of ``fit``.
+        choose_rank: choose the whole-face rank and temper by cross-validation over the rendered people, instead of
+            taking those of ``fit``.
         fit: how statistics are learned.
     """
 
@@ -101,7 +115,8 @@ QUALITIES = {
         heads=240, lights=100, height=192, width=168, fit=FitOptions(face_rank=80, brightness=True)
     ),
 }
-"""Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and ``reference.yaml``)."""
+"""Three points on the frontier of accuracy and time (``configs/draft.yaml``, ``default.yaml`` and
+``reference.yaml``)."""
 
 
 def quality_config(quality: str) -> TrainConfig:
@@ -119,3 +134,15 @@ def cache_folder() -> Path:
 def default_statistics_folder(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path:
     """Where the statistics of ``config`` are cached, under ``cache`` (default: :func:`cache_folder`)."""
     return Path(cache or cache_folder()) / "statistics" / config.key()
+
+
+def find_statistics(config: TrainConfig = DEFAULT_CONFIG, cache: str | Path | None = None) -> Path | None:
+    """The folder with statistics of ``config``, or None where they have to be trained.
+
+    The packaged ones for the default config, so that it gives everyone the same pictures; else what is cached. Of a
+    ``cache`` that is named only that.
+    """
+    if cache is None and config == DEFAULT_CONFIG:
+        return PACKAGED
+    folder = default_statistics_folder(config, cache)
+    return folder if (folder / "statistics.safetensors").exists() else None

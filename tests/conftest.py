@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from facerelight.lights import even_hemisphere
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import even_hemisphere
+from facerelight.model.statistics import FaceStatistics
 
 SIZE = (24, 21)
 
@@ -53,7 +53,7 @@ def yale_path() -> Path:
 def posed(tmp_path_factory: pytest.TempPathFactory):
     """A small rendered bootstrap under any view."""
     from facerelight.config import TrainConfig
-    from facerelight.pose import BootstrapViews
+    from facerelight.viewpoint.pose import BootstrapViews
 
     return BootstrapViews(TrainConfig(heads=20, height=48, width=42, supersample=1), tmp_path_factory.mktemp("views"))
 

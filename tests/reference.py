@@ -1,4 +1,5 @@
-"""Slow float64 NumPy versions of the thesis's equations, one pixel at a time, written from the text and not from the package."""
+"""Slow float64 NumPy versions of the thesis's equations, one pixel at a time, written from the text and not from the
+package."""
 
 import numpy as np
 

@@ -1,4 +1,5 @@
-"""Hard cases, each a row with the promise it keeps; README's table is printed from them (``python tests/test_hard_cases.py``)."""
+"""Hard cases, each a row with the promise it keeps; README's table is printed from them
+(``python tests/test_hard_cases.py``)."""
 
 import copy
 import warnings
@@ -8,21 +9,22 @@ import pytest
 import torch
 from conftest import SIZE, shaded_people
 
-from facerelight.covariance import deviation_covariance, image_covariance, light_terms
-from facerelight.gaussian import (
+from facerelight.geometry.lights import even_hemisphere, light_from_angles, thesis_grid
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.covariance import deviation_covariance, image_covariance, light_terms
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.gaussian import (
     NotPositiveDefiniteError,
     NumericalWarning,
     condition_gaussian,
     positive_variance,
     safe_cholesky,
 )
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.kernels import kernel_weights
-from facerelight.lights import even_hemisphere, light_from_angles, thesis_grid
-from facerelight.recognition.classifiers import GlobalPCAClassifier, IndividualPCAClassifier, NearestNeighborClassifier
+from facerelight.numerics.kernels import kernel_weights
+from facerelight.recognition.nearest import NearestNeighborClassifier
+from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.recognition.subspaces import IncrementalSubspace
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
 
 CASES: dict[str, tuple[str, Callable]] = {}
 MODELS = [("pixel", torch.float32), ("pixel", torch.float64), ("face", torch.float32), ("face", torch.float64)]
@@ -483,14 +485,14 @@ def _plain_weights(squared: torch.Tensor, width: torch.Tensor | float) -> torch.
 
 
 MUTATIONS = {
-    "jitter": ("facerelight.gaussian.JITTER_STEPS", (), "singular, indefinite and NaN covariances"),
+    "jitter": ("facerelight.numerics.gaussian.JITTER_STEPS", (), "singular, indefinite and NaN covariances"),
     "log-space kernel": ("test_hard_cases.kernel_weights", _plain_weights, "kernel weights that all underflow"),
     "completion of the correlation": (
         "test_hard_cases.light_terms",
         None,
         "covariances over 60 lights, half of them 1e-6 rad from the others",
     ),
-    "measurement variance": ("facerelight.covariance.MEASUREMENT", 0.0, "two lights 1e-1 to 1e-8 rad apart"),
+    "measurement variance": ("facerelight.model.covariance.MEASUREMENT", 0.0, "two lights 1e-1 to 1e-8 rad apart"),
 }
 
 

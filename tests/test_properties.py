@@ -12,10 +12,10 @@ from conftest import SIZE, shaded_people
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facerelight.illumination import KernelIlluminationEstimator
-from facerelight.lights import even_hemisphere
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.geometry.lights import even_hemisphere
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
 
 MIRROR = torch.tensor([-1.0, 1.0, 1.0])
 
@@ -61,7 +61,8 @@ def test_a_mirrored_world_gives_the_mirrored_answer(covariance: str) -> None:
     people = shaded_people(9, lights, 0)
     swap = torch.cat((torch.arange(12, 24), torch.arange(12)))
     everybody = torch.cat((people[:8], people[:8, swap].flip(-1)))
-    relighter = StatisticalRelighter(FaceStatistics.fit(everybody, lights, rank=24, face_rank=4, basis=24), covariance)  # type: ignore[arg-type]
+    statistics = FaceStatistics.fit(everybody, lights, rank=24, face_rank=4, basis=24)
+    relighter = StatisticalRelighter(statistics, covariance)  # type: ignore[arg-type]
     source, target = random_lights(1, 5), random_lights(2, 6)
     image = people[8:9, :1]
     plain = relighter(image, target, source_lights=source)
@@ -115,7 +116,8 @@ def test_the_number_of_threads_does_not_matter(
 
 
 def test_compiled_equals_plain(relighter: StatisticalRelighter, people: torch.Tensor, lights: torch.Tensor) -> None:
-    """The renderer under torch.compile's tracer (no C++ compiler needed), where it can be traced and where it falls back."""
+    """The renderer under torch.compile's tracer (no C++ compiler needed), where it can be traced and where it falls
+    back."""
     posterior = relighter.condition(people[12:13, :2], lights[:2])
     compiled = torch.compile(posterior.mean, backend="eager")
     assert torch.allclose(compiled(lights[:5]), posterior.mean(lights[:5]), atol=1e-6)
@@ -128,7 +130,10 @@ def test_a_gpu_gives_the_same(relighter: StatisticalRelighter, people: torch.Ten
 
 
 def test_import_is_silent_and_starts_no_renderer() -> None:
-    code = "import sys, facerelight, facerelight.cli, facerelight.pose; print([m for m in ('pyrender', 'trimesh', 'scipy') if m in sys.modules])"
+    code = (
+        "import sys, facerelight, facerelight.cli, facerelight.viewpoint.pose;"
+        "print([m for m in ('pyrender', 'trimesh', 'scipy') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     assert done.stdout.strip() == "[]"

@@ -1,1 +1,1 @@
-"""The bootstrap: other people's faces, rendered or photographed, from which the statistics are learned. Only this folder touches OpenGL."""
+"""The bootstrap: other people, rendered, from whom the statistics are learned. Only this room touches OpenGL."""

@@ -1,133 +1,125 @@
-"""Bootstrap images from disk: Extended Yale B (as .npz or in its public folder layout) and CMU PIE."""
+"""The bootstrap: rendered people under a set of lights, as a torch dataset."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
+from collections import Counter
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
+from torch.utils.data import Dataset
 
-from facerelight.lights import light_from_angles
+from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.heads import HeadSource
+from facerelight.bootstrap.posture import place_in_frame, rotate, stand
+from facerelight.bootstrap.renderer import MeshRenderer
+from facerelight.bootstrap.shading import plan_effects, shade
+from facerelight.bootstrap.skin import Look
+from facerelight.bootstrap.surface import Surface, view_surface
+from facerelight.geometry.alignment import CropFrame
 
-__all__ = ["FaceImages", "load_pie", "load_yale", "to_grid"]
+__all__ = ["BootstrapDataset", "RenderedHead", "open_renderer"]
+
+HEAD_REACH = 3.2  # half the side of the shadow map, in distances between the eyes: covers the whole head, turned or not
 
 
-class FaceImages(NamedTuple):
-    """Photographs of people under single lights, in linear radiance.
+class RenderedHead(NamedTuple):
+    """``subject`` index, ``images (J, H, W)`` linear radiance, ``work``: effect passes and pixels run and skipped."""
 
-    ``images (M, H, W)`` float32 in 0..1; ``subject (M,)`` and ``light (M,)`` indices; ``lights (J, 3)``; ``angles (J, 2)`` azimuth and
-    elevation in degrees; ``subset (M,)``: 1 to 5 by the light's angle from the camera axis (0 where not defined); ``names`` of subjects.
-    """
-
+    subject: int
     images: Tensor
-    subject: Tensor
-    light: Tensor
-    lights: Tensor
-    angles: Tensor
-    subset: Tensor
-    names: list[str]
+    work: Counter[str]
 
 
-def load_yale(path: str | Path, height: int = 96, width: int = 84) -> FaceImages:
-    """Extended Yale B, cropped: the ``.npz`` file or a CroppedYale folder (``yaleB01/yaleB01_P00A+035E+40.pgm``).
+def open_renderer(frame: CropFrame, supersample: int = 1) -> MeshRenderer:
+    """A renderer for heads placed in ``frame``."""
+    eyes = frame.landmarks[:2]
+    extent = HEAD_REACH * float(torch.linalg.vector_norm(eyes[1] - eyes[0]))
+    return MeshRenderer(frame.height, frame.width, extent=extent, supersample=supersample)
 
-    A positive azimuth is a light from image-left. Images of the ``.npz`` that are marked as bad captures, and files that end in ``.bad``
-    or hold no light (``Ambient``), are left out. Images are shrunk by area averages to ``height x width``.
+
+class BootstrapDataset(Dataset[RenderedHead]):
+    """Rendered people: item ``i`` is person ``i`` under all ``lights``.
+
+    Args:
+        source: where heads come from.
+        count: how many people.
+        lights: ``(J, 3)`` unit vectors.
+        frame: the crop to render.
+        domain: settings of paint and light.
+        seed: of the paint; the heads have their own.
+        effects: "auto" (only what each scene calls for), "all", or names; the images are the same for the first two.
+        supersample: samples a pixel along each side, averaged.
+        pose: azimuth and elevation of the camera in degrees; a turned head stays at the size and place of its upright
+            landmarks.
+
+    A renderer is opened in the process (or worker) that first asks for an item.
     """
-    path = Path(path)
-    if path.is_dir():
-        return _load_yale_folder(path, height, width)
-    data = _open_npz(path, ("images", "subject", "azimuth_deg", "elevation_deg", "subset", "quality"))
-    good = data["quality"] == 0
-    images = _shrink(torch.from_numpy(data["images"][good]), height, width)
-    angles = np.stack((data["azimuth_deg"], data["elevation_deg"]), 1)[good]
-    return _index(images, data["subject"][good], angles, torch.from_numpy(data["subset"][good]).long())
 
+    def __init__(
+        self,
+        source: HeadSource,
+        count: int,
+        lights: Tensor,
+        frame: CropFrame,
+        domain: Domain | None = None,
+        seed: int = 0,
+        effects: str | Iterable[str] = "auto",
+        supersample: int = 1,
+        pose: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        if count < 1:
+            raise ValueError(f"count: expected at least 1 head, got {count}")
+        self.source, self.count, self.lights, self.frame = source, count, lights, frame
+        self.domain, self.seed, self.effects, self.supersample = domain or Domain(), seed, effects, supersample
+        self.pose = pose
+        self._renderer: MeshRenderer | None = None
 
-def _load_yale_folder(folder: Path, height: int, width: int) -> FaceImages:
-    pattern = re.compile(r"(yaleB\d+)_P00A([+-]\d{3})E([+-]\d{2})\.pgm$")
-    images, subjects, angles = [], [], []
-    for file in sorted(folder.glob("yaleB*/*.pgm")):
-        match = pattern.search(file.name)
-        if match:
-            with Image.open(file) as image:
-                pixels = torch.from_numpy(np.array(image.convert("L")))
-            images.append(_shrink(pixels[None], height, width))
-            subjects.append(match[1])
-            angles.append((float(match[2]), float(match[3])))
-    if not images:
-        raise ValueError(f"{folder}: expected yaleBNN/yaleBNN_P00A+000E+00.pgm files, found none")
-    table = np.array(angles)
-    axis = np.rad2deg(np.arccos(np.cos(np.deg2rad(table[:, 0])) * np.cos(np.deg2rad(table[:, 1]))))
-    subset = 1 + np.digitize(axis, (12.5, 25.5, 51.5, 77.5))
-    return _index(torch.cat(images), np.array(subjects), table, torch.from_numpy(subset))
+    def __len__(self) -> int:
+        return self.count
 
+    @property
+    def renderer(self) -> MeshRenderer:
+        """This process's renderer, opened when it is first asked for."""
+        if self._renderer is None:
+            self._renderer = open_renderer(self.frame, self.supersample)
+        return self._renderer
 
-def load_pie(path: str | Path) -> FaceImages:
-    """The ten people of CMU PIE under 21 flashes (``.npz``, 55 x 44), with the file's estimated flash directions."""
-    data = _open_npz(
-        Path(path), ("images", "subject", "flash", "flash_ids", "flash_est_azimuth_deg", "flash_est_elevation_deg")
-    )
-    place = {int(flash): i for i, flash in enumerate(data["flash_ids"])}
-    order = np.array([place[int(flash)] for flash in data["flash"]])
-    images = torch.from_numpy(data["images"]).float() / 255
-    people, subject = np.unique(data["subject"], return_inverse=True)
-    table = torch.from_numpy(np.stack((data["flash_est_azimuth_deg"], data["flash_est_elevation_deg"]), 1)).float()
-    lights = light_from_angles(table[:, 0], table[:, 1])
-    return FaceImages(
-        images,
-        torch.from_numpy(subject),
-        torch.from_numpy(order),
-        lights,
-        table,
-        torch.zeros(len(images), dtype=torch.long),
-        [str(p) for p in people],
-    )
+    def look(self, index: int) -> Look:
+        """Person ``index``'s paint."""
+        return Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
 
+    def surface(self, index: int) -> tuple[Surface, Material]:
+        """Person ``index``, painted and seen by the camera, and their material."""
+        look = self.look(index)
+        upright = stand(self.source.head(index), np.random.default_rng((self.seed, index, 2)), self.domain)
+        head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
+        return view_surface(self.renderer, head, look), look.material
 
-def to_grid(faces: FaceImages) -> tuple[Tensor, Tensor]:
-    """Arrange the photographs as ``images (N, J, H, W)``, zero where missing, and ``valid (N, J)``, for :meth:`FaceStatistics.fit`."""
-    people, lights = len(faces.names), len(faces.lights)
-    images = torch.zeros(people, lights, *faces.images.shape[1:])
-    valid = torch.zeros(people, lights, dtype=torch.bool)
-    images[faces.subject, faces.light] = faces.images
-    valid[faces.subject, faces.light] = True
-    return images, valid
+    def __getitem__(self, index: int) -> RenderedHead:
+        if not 0 <= index < self.count:
+            raise IndexError(f"head {index} of {self.count}")
+        surface, material = self.surface(index)
+        work: Counter[str] = Counter(geometry=1)
+        images = []
+        for light in self.lights:
+            plan = plan_effects(surface, light, material, self.effects)
+            images.append(shade(surface, light, material, plan, self.renderer, work))
+        stack = torch.stack(images)
+        if self.supersample > 1:
+            stack = torch.nn.functional.avg_pool2d(stack[:, None], self.supersample)[:, 0]
+        return RenderedHead(index, stack, work)
 
+    def images(self, indices: Iterable[int] | None = None) -> Tensor:
+        """Images ``(N, J, H, W)`` of the heads ``indices`` (default: all); the renderer is released."""
+        rendered = torch.stack([self[index].images for index in (range(self.count) if indices is None else indices)])
+        self.close()
+        return rendered
 
-def _open_npz(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {key: data[key] for key in keys}
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: expected an .npz file with {', '.join(keys)}; got {error}") from error
-
-
-def _shrink(images: Tensor, height: int, width: int) -> Tensor:
-    """uint8 ``(M, H, W)`` to float32 in 0..1 by area averages."""
-    return torch.cat(
-        [
-            torch.nn.functional.interpolate(part[:, None].float() / 255, (height, width), mode="area")[:, 0]
-            for part in images.split(256)
-        ]
-    )
-
-
-def _index(images: Tensor, subjects: np.ndarray, angles: np.ndarray, subset: Tensor) -> FaceImages:
-    people, subject = np.unique(subjects, return_inverse=True)
-    table, light = np.unique(angles, axis=0, return_inverse=True)  # sorted by azimuth, then elevation
-    degrees = torch.from_numpy(table).float()
-    lights = light_from_angles(degrees[:, 0], degrees[:, 1])
-    return FaceImages(
-        images,
-        torch.from_numpy(subject),
-        torch.from_numpy(light.reshape(-1)),
-        lights,
-        degrees,
-        subset,
-        [str(p) for p in people],
-    )
+    def close(self) -> None:
+        """Release the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

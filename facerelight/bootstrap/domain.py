@@ -1,4 +1,5 @@
-"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin makes of light."""
+"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin
+makes of light."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ __all__ = ["Domain", "Material"]
 
 @dataclass(frozen=True)
 class Domain:
-    """The scalar settings of the rendered world, the same for all heads; ``scripts/search_domain.py`` finds them.
+    """The scalar settings of the rendered world, the same for all heads; ``scripts/data/search_domain.py`` finds them.
 
     Args:
         tone_low, tone_high: range of the skin's albedo over people, uniform in its logarithm.
@@ -51,7 +52,8 @@ class Domain:
 
 @dataclass(frozen=True)
 class Material:
-    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and ``side_light``."""
+    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and
+    ``side_light``."""
 
     specular: float
     roughness: float

@@ -1,6 +1,7 @@
-"""Heads to learn from: seeded random people of the packed CC0 model, scanned identities of ICT-FaceKit, or meshes of the user's own.
+"""Heads to learn from: seeded random people of the packed CC0 model, or scanned identities of ICT-FaceKit.
 
-Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one unit apart.
+Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one
+unit apart.
 """
 
 from __future__ import annotations
@@ -11,22 +12,21 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import trimesh
 
-from facerelight.alignment import CropFrame
-from facerelight.bootstrap.domain import Domain
+try:
+    import trimesh
+except ModuleNotFoundError as error:
+    raise RuntimeError('heads need trimesh, which is not installed; pip install "facerelight[train]"') from error
 
-__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads", "MeshFolder", "place_in_frame", "rotate", "stand"]
-
-
-PIVOT = np.array((0.0, -0.3, -0.8))  # the middle of a head: turned about it, the face stays in the crop
+__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads"]
 
 
 class Head(NamedTuple):
     """A head mesh.
 
-    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint follows it);
-    ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth centre.
+    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint
+    follows it); ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth
+    centre.
     """
 
     vertices: np.ndarray
@@ -54,7 +54,8 @@ def _normalise(vertices: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray,
 
 
 class MakeHumanHeads:
-    """Random people from MakeHuman's morph targets (CC0, packed with the package): sex, age, origin, build, 100 local shapes, asymmetry.
+    """Random people from MakeHuman's morph targets (CC0, packed with the package): sex, age, origin, build, 100 local
+    shapes, asymmetry.
 
     Args:
         seed: another seed gives other people; person ``index`` depends on ``(seed, index)`` alone.
@@ -167,124 +168,6 @@ class IctHeads:
     def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         mark = vertices[self._data["landmarks68"]]  # iBUG order: 36-41 and 42-47 the eyes, 48-67 the mouth
         return _normalise(vertices, np.stack((mark[36:42].mean(0), mark[42:48].mean(0), mark[60:68].mean(0))))
-
-
-class MeshFolder:
-    """Meshes of the user's own (.obj, .ply, .glb), each with marked points in ``NAME.points.txt``: one ``x y z`` a line, three or more.
-
-    The first three points are the eye centre at image-left, the one at image-right and the mouth centre; further ones (the thesis used
-    eight) must come in the same order for every mesh. A 3-D similarity takes the points to those of the first mesh, which itself is
-    placed by its first three points (4.2.1).
-    """
-
-    SUFFIXES = (".obj", ".ply", ".glb")
-    FRONT = np.array(((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), (0.0, -1.07, 0.45)))
-
-    def __init__(self, folder: str | Path) -> None:
-        self.paths = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in self.SUFFIXES)
-        if not self.paths:
-            raise ValueError(f"{folder}: expected meshes ({', '.join(self.SUFFIXES)}), found none")
-        self._target: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.paths)
-
-    def head(self, index: int) -> Head:
-        """Mesh number ``index``, in the order of the file names."""
-        if not 0 <= index < len(self.paths):
-            raise ValueError(f"head: expected an index below {len(self.paths)}, got {index}")
-        path = self.paths[index]
-        points = self._points(path)
-        if self._target is None:
-            first = points if index == 0 else self._points(self.paths[0])
-            self._target = apply_similarity(fit_similarity_3d(first[:3], self.FRONT), first)
-        if points.shape != self._target.shape:
-            raise ValueError(
-                f"{path}: expected {len(self._target)} marked points as in the first mesh, got {len(points)}"
-            )
-        try:
-            mesh = trimesh.load(path, force="mesh", process=False)
-        except Exception as error:  # trimesh raises whatever its parsers do
-            raise ValueError(f"{path}: expected a readable mesh, got {error}") from error
-        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
-            raise ValueError(f"{path}: expected a mesh with triangles and finite vertices")
-        move = fit_similarity_3d(points, self._target)
-        vertices = apply_similarity(move, np.asarray(mesh.vertices, np.float64))
-        return Head(
-            vertices,
-            np.asarray(mesh.faces),
-            vertices,
-            np.zeros(len(vertices), np.float32),
-            apply_similarity(move, points)[:3],
-        )
-
-    @staticmethod
-    def _points(path: Path) -> np.ndarray:
-        marked = path.with_suffix(".points.txt")
-        try:
-            points = np.loadtxt(marked, ndmin=2)
-        except (OSError, ValueError) as error:
-            raise ValueError(f"{marked}: expected one 'x y z' a line for {path.name}; got {error}") from error
-        if points.shape[0] < 3 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise ValueError(f"{marked}: expected three or more finite 'x y z' points, got an array of {points.shape}")
-        return points
-
-
-def fit_similarity_3d(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Least-squares similarity between ``(N, 3)`` point sets (Umeyama 1991): scale, rotation ``(3, 3)``, translation ``(3,)``."""
-    a, b = source - source.mean(0), target - target.mean(0)
-    u, d, vt = np.linalg.svd(b.T @ a)
-    if d[1] < 1e-9 * max(d[0], 1e-30):
-        raise ValueError("marked points: expected three off one line, got collinear or coincident ones")
-    sign = np.array((1.0, 1.0, np.sign(np.linalg.det(u @ vt))))
-    rotation = u @ np.diag(sign) @ vt
-    scale = float((d * sign).sum() / (a**2).sum())
-    return scale, rotation, target.mean(0) - scale * rotation @ source.mean(0)
-
-
-def apply_similarity(move: tuple[float, np.ndarray, np.ndarray], points: np.ndarray) -> np.ndarray:
-    """``s R x + t`` for every row of ``points``."""
-    scale, rotation, shift = move
-    return scale * points @ rotation.T + shift
-
-
-def rotate(head: Head, azimuth: float, elevation: float) -> Head:
-    """Turn a head about its middle as if the camera moved (degrees): positive azimuth shows what lies at image-left."""
-    if not (abs(azimuth) <= 90 and abs(elevation) <= 60):
-        raise ValueError(
-            f"pose: expected azimuth within 90 and elevation within 60 degrees, got {azimuth} and {elevation}"
-        )
-    a, e = np.deg2rad((azimuth, elevation))
-    about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
-    about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
-    turn = about_x @ about_y
-    return head._replace(
-        vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT
-    )
-
-
-def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
-    """How a person happens to stand before the camera: looking up and turned a little, the landmarks marked a little off."""
-    aside, up = domain.turn * rng.standard_normal(2).clip(-2, 2)
-    marked = domain.misalign * rng.standard_normal((3, 3)) * (1, 1, 0)
-    turned = rotate(head, aside, up - domain.pitch)
-    return turned._replace(landmarks=turned.landmarks + marked)
-
-
-def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:
-    """Scale and shift a head so that its landmarks fall, least squares, on the crop's; one unit is then one pixel, origin the crop's centre.
-
-    Args:
-        head: as a source gives it, or turned.
-        frame: the crop.
-        landmarks: place these ``(3, 3)`` instead of the head's own (a turned head is placed by its upright landmarks).
-    """
-    target = (frame.landmarks.numpy() - ((frame.width - 1) / 2, (frame.height - 1) / 2)) * (1, -1)
-    points = (head.landmarks if landmarks is None else landmarks)[:, :2]
-    a, b = points - points.mean(0), target - target.mean(0)
-    scale = float((a * b).sum() / (a**2).sum())  # upright by construction: no turn in the plane
-    shift = np.append(target.mean(0) - scale * points.mean(0), 0.0)
-    return head._replace(vertices=scale * head.vertices + shift, landmarks=scale * head.landmarks + shift)
 
 
 def _tent(x: float) -> tuple[float, float, float]:

@@ -1,8 +1,8 @@
 """Geometry buffers and light-side depth maps, rendered headless by pyrender in linear float32.
 
-pyrender's own output is 8 bits, gamma coded and clamped (fit for viewing, not for statistics), so this module keeps pyrender's scene,
-camera, mesh and EGL machinery and replaces the shader and the framebuffer: every pass writes plain float32 values and reads them back.
-Nothing else in the package touches OpenGL.
+pyrender's own output is 8 bits, gamma coded and clamped (fit for viewing, not for statistics), so this module keeps
+pyrender's scene, camera, mesh and EGL machinery and replaces the shader and the framebuffer: every pass writes plain
+float32 values and reads them back. Nothing else in the package touches OpenGL.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import tempfile
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,9 +27,14 @@ try:
     from pyrender.platforms import egl
     from pyrender.renderer import Renderer
     from pyrender.shader_program import ShaderProgramCache
+except ModuleNotFoundError as error:
+    raise RuntimeError(
+        f'rendering needs {error.name}, which is not installed; pip install "facerelight[train]"'
+    ) from error
 except (ImportError, AttributeError, OSError) as error:  # PyOpenGL raises any of these where libEGL is absent
     raise RuntimeError(
-        f"rendering needs EGL, which could not be loaded ({error}); on Debian: apt-get install -y libegl1 libgl1 libxrender1"
+        f"rendering needs EGL, which could not be loaded ({error});"
+        " on Debian: apt-get install -y libegl1 libgl1 libxrender1"
     ) from error
 
 VERTEX_SHADER = """#version 330 core
@@ -61,7 +66,8 @@ void main() {}
 
 
 class Geometry(NamedTuple):
-    """What the camera sees: ``position``, ``normal`` ``(H, W, 3)``, ``attribute`` ``(H, W, 4)`` and ``inside`` ``(H, W)`` bool."""
+    """What the camera sees: ``position``, ``normal`` ``(H, W, 3)``, ``attribute`` ``(H, W, 4)`` and ``inside``
+    ``(H, W)`` bool."""
 
     position: np.ndarray
     normal: np.ndarray
@@ -81,7 +87,7 @@ class _OneProgram(ShaderProgramCache):
             self.program = super().get_program(str(vertex_path), str(fragment_path))
             self.program._load = {str(vertex_path): VERTEX_SHADER, str(fragment_path): fragment}.__getitem__
 
-    def get_program(self, vertex_shader, fragment_shader, geometry_shader=None, defines=None):  # type: ignore[no-untyped-def]
+    def get_program(self, *_: Any, **__: Any) -> Any:
         return self.program
 
 
@@ -93,9 +99,8 @@ class _FloatRenderer(Renderer):
         self._program_cache = _OneProgram(fragment)
         self.targets = targets
         self._main_fb: int | None = None
-        self.window: tuple[int, int, int, int] | None = (
-            None  # left, top, width, height: the part that is drawn and read
-        )
+        # left, top, width, height of the part that is drawn and read; None: all of it
+        self.window: tuple[int, int, int, int] | None = None
 
     def _configure_main_framebuffer(self) -> None:
         size = self.viewport_width, self.viewport_height
@@ -188,8 +193,8 @@ class MeshRenderer:
     def heights(self, light: np.ndarray, window: tuple[int, int, int, int] | None = None) -> np.ndarray:
         """The nearest surface seen from a light: heights along it; where nothing is, ten extents below the origin.
 
-        Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``, ``y = (1 - (i + 0.5) / S * 2) * extent`` of
-        :meth:`light_frame`.
+        Row i, column j of the map is the ray at ``x = ((j + 0.5) / S * 2 - 1) * extent``,
+        ``y = (1 - (i + 0.5) / S * 2) * extent`` of :meth:`light_frame`.
 
         Args:
             light: unit vector ``(3,)``.
@@ -207,7 +212,8 @@ class MeshRenderer:
         return renderer.render(scene, flags if renderer.targets else flags | pyrender.RenderFlags.DEPTH_ONLY)
 
     def close(self) -> None:
-        """Release the OpenGL context; other renderers of the process keep theirs (pyrender's own clean-up would end them all)."""
+        """Release the OpenGL context; other renderers of the process keep theirs (pyrender's own clean-up would end
+        them all)."""
         self._context.make_current()
         self._camera.delete()
         self._light.delete()
@@ -229,9 +235,8 @@ def _scene(vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray, fea
         positions=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
         texcoord_0=feature[:, 3:].repeat(2, axis=1),
-        color_0=np.concatenate(
-            (feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1
-        ),  # alpha below 1 would switch blending on
+        # Alpha below 1 would switch blending on.
+        color_0=np.concatenate((feature[:, :3], np.ones((len(vertices), 1), np.float32)), 1),
         indices=triangles.astype(np.uint32),
     )
     scene = pyrender.Scene(bg_color=(0.0, 0.0, 0.0, 0.0))

@@ -1,6 +1,7 @@
 """Skin: procedural albedo painted on the average head.
 
-No photograph is involved. Positions are in the units of :mod:`heads`: eyes at (-0.5, 0) and (0.5, 0), mouth near (0, -1.07).
+No photograph is involved. Positions are in the units of :mod:`heads`: eyes at (-0.5, 0) and (0.5, 0), mouth near (0,
+-1.07).
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ __all__ = ["Look", "paint"]
 
 @dataclass(frozen=True)
 class Look:
-    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``sockets``, ``iris``, ``stubble``,
-    ``hair``."""
+    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``sockets``,
+    ``iris``, ``stubble``, ``hair``."""
 
     tone: float
     brows: float

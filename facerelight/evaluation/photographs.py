@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity, invert_similarity, warp_to_crop
 from facerelight.evaluation.scan import decode_srgb
+from facerelight.geometry.alignment import CropFrame, fit_similarity, invert_similarity, warp_to_crop
+from facerelight.numerics.luminance import LUMINANCE, MEASURED_FLOOR
 from facerelight.photo.face_mask import face_mask
-from facerelight.sources import LUMINANCE
 
 __all__ = ["MEASURES", "photograph_measures"]
 
@@ -61,10 +61,10 @@ def photograph_measures(
     Returns:
         ``cut``: median abs step of r across the crop's top border, over the middle 0.9 eye distances, less that two
         rows further in; ``step``: from cheek to ear on the side turned from the lamp, |median r at radius .62 to .78 -
-        median at 1.12 to 1.25|, of the person's pixels alone; ``lit_half``: median r at radius .3 to .8 on the lamp's side; ``pigment``: median
-        L1 / L0 of dark pixels of the face (L0 < .03) over that of the skin around them; ``black``: share of the face
-        with L1 < .012 where L0 > .06; ``halo``: largest change, in grey levels, where the matte is 0; ``clipped``:
-        share of the person that reaches 255 and did not.
+        median at 1.12 to 1.25|, of the person's pixels alone; ``lit_half``: median r at radius .3 to .8 on the lamp's
+        side; ``pigment``: median L1 / L0 of dark pixels of the face (L0 < .03) over that of the skin around them;
+        ``black``: share of the face with L1 < .012 where L0 > .06; ``halo``: largest change, in grey levels, where the
+        matte is 0; ``clipped``: share of the person that reaches 255 and did not.
     """
     if before.shape != after.shape or before.dtype != np.uint8 or after.dtype != np.uint8:
         got = f"{before.dtype} {before.shape} and {after.dtype} {after.shape}"
@@ -72,7 +72,7 @@ def photograph_measures(
     crop = _crops(before, after, landmarks, frame)
     person = np.ones(before.shape[:2], bool) if matte is None else matte > 0.5
     inside_person = _on_crop(person, landmarks, frame)
-    padded = np.log2((crop.after + 0.01) / (crop.before + 0.01))
+    padded = np.log2((crop.after + MEASURED_FLOOR) / (crop.before + MEASURED_FLOOR))
     inside = (slice(PAD, -PAD), slice(PAD, -PAD))
     ratio, first, second = padded[inside], crop.before[inside], crop.after[inside]
     face = crop.mask > 0.6

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 
 from facerelight.evaluation.scan import HEIGHT, WIDTH, ScannedHead, decode_srgb, encode_srgb, lamp_points
-from facerelight.sources import LUMINANCE, Lamp
+from facerelight.geometry.sources import Lamp
+from facerelight.numerics.luminance import LOGARITHM_FLOOR, LUMINANCE
 
 __all__ = [
     "BARE",
@@ -53,7 +54,6 @@ SHADE, EDGES = ("shade_C", "shade_dC", "shade_log"), ("edge99", "edge_log")
 MEASURES = ("person", "face", "rest", "ssim", *SHADE, *EDGES, "seam", "background")
 """Names of all measures, in the order in which they are shown; see :func:`portrait_errors` and :func:`edge_errors`."""
 ROWS = 610  # of the picture that are kept: the scan ends below
-DARK = 0.003  # linear, added before logarithms
 EDGE_REACH = 0.06  # eye distances around a shadow's edge
 LUMA = np.array(LUMINANCE, np.float32)
 
@@ -164,7 +164,9 @@ def fit_gain(output: np.ndarray, truth: np.ndarray, person: np.ndarray) -> np.nd
     usable = person & (ours.max(-1) < 0.97) & (wanted.max(-1) < 0.97)
     if not usable.any():
         return encode_srgb(ours)
-    gain = np.exp(np.median(np.log((wanted @ LUMA)[usable] + DARK) - np.log((ours @ LUMA)[usable] + DARK)))
+    gain = np.exp(
+        np.median(np.log((wanted @ LUMA)[usable] + LOGARITHM_FLOOR) - np.log((ours @ LUMA)[usable] + LOGARITHM_FLOOR))
+    )
     return encode_srgb(np.clip(ours * gain, 0, 1))
 
 
@@ -219,7 +221,7 @@ def portrait_errors(output: np.ndarray, case: Case, regions: Regions) -> dict[st
         "ssim": _mean(similarity[regions.person]),
         "shade_C": _mean(np.abs(chroma)[shade]),
         "shade_dC": _mean(chroma[shade]),
-        "shade_log": _mean((np.log(light + DARK) - np.log(light_truth + DARK))[shade]),
+        "shade_log": _mean((np.log(light + LOGARITHM_FLOOR) - np.log(light_truth + LOGARITHM_FLOOR))[shade]),
         "seam": _mean(np.linalg.norm(slope * regions.unit, axis=-1)[regions.band]),
         "background": _mean(deltaE_ciede2000(*around)) if regions.background.any() else float("nan"),
     }
@@ -236,7 +238,7 @@ def edge_errors(output: np.ndarray, case: Case, regions: Regions) -> dict[str, f
     light, truth, photo = (_luminance(image) for image in (fitted, case.truth / 255.0, case.photo / 255.0))
     slopes = [np.linalg.norm(_gradient(_log_ratio(image, photo, 0.8)), axis=-1) for image in (light, truth)]
     steep, steep_truth = (float(np.quantile(slope[regions.face], 0.99)) for slope in slopes)
-    error = np.abs(np.log(light + DARK) - np.log(truth + DARK))
+    error = np.abs(np.log(light + LOGARITHM_FLOOR) - np.log(truth + LOGARITHM_FLOOR))
     return {"edge99": steep / max(steep_truth, 1e-6), "edge_log": _mean(error[case.edges])}
 
 

@@ -10,12 +10,13 @@ from kornia.filters import gaussian_blur2d
 from kornia.metrics import ssim
 from torch import Tensor
 
-from facerelight.bootstrap.dataset import FaceImages, to_grid
-from facerelight.detail import keep_detail
-from facerelight.light_likelihood import LikelihoodIlluminationEstimator
-from facerelight.lights import angular_distance
-from facerelight.relighter import StatisticalRelighter
-from facerelight.statistics import FaceStatistics
+from facerelight.evaluation.datasets import FaceImages, to_grid
+from facerelight.geometry.lights import angular_distance
+from facerelight.inference.detail import keep_detail
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import MEASURED_FLOOR, SHADOW
 
 __all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights", "relighting_errors"]
 
@@ -24,8 +25,8 @@ SOURCES = {"front": (0.0, 0.0), "side": (70.0, 0.0)}
 
 
 class Scores(NamedTuple):
-    """Per relit image: ``rmse (M,)`` in grey levels after clamping to 0..255, ``ssim (M,)``, ``subset (M,)``, ``shadow (M,)`` RMSE inside
-    the input's shadow (NaN where the target is not frontal)."""
+    """Per relit image: ``rmse (M,)`` in grey levels after clamping to 0..255, ``ssim (M,)``, ``subset (M,)``,
+    ``shadow (M,)`` RMSE inside the input's shadow (NaN where the target is not frontal)."""
 
     rmse: Tensor
     ssim: Tensor
@@ -45,7 +46,8 @@ class Scores(NamedTuple):
 
 
 def held_out_lights(faces: FaceImages) -> Tensor:
-    """The lights that **yale-relight-newlights** keeps out of the statistics, ``(J,)`` bool: every fifth, never a source light."""
+    """The lights that **yale-relight-newlights** keeps out of the statistics, ``(J,)`` bool: every fifth, never a
+    source light."""
     out = torch.zeros(len(faces.lights), dtype=torch.bool)
     out[2::5] = True  # the lights come sorted by azimuth, then elevation
     for angles in SOURCES.values():
@@ -67,7 +69,7 @@ def _score(relit: Tensor, truth: Tensor, subset: Tensor, source: Tensor, frontal
     error = (relit - truth) * 255
     rmse = error.square().mean((1, 2)).sqrt()
     similarity = ssim(relit[:, None], truth[:, None], 11, padding="same").mean((1, 2, 3))
-    dark = source < 20 / 255
+    dark = source < SHADOW
     shadow = torch.full_like(rmse, torch.nan)
     if dark.any() and frontal.any():
         shadow[frontal] = error[frontal][:, dark].square().mean(1).sqrt()
@@ -75,7 +77,8 @@ def _score(relit: Tensor, truth: Tensor, subset: Tensor, source: Tensor, frontal
 
 
 def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targets: Tensor) -> dict[str, Tensor]:
-    """What one does without a model: copy the input; the average face; the input times the ratio of smoothed average faces.
+    """What one does without a model: copy the input; the average face; the input times the ratio of smoothed average
+    faces.
 
     Args:
         mean_images: ``(J, H, W)``, the bootstrap's average face under each light.
@@ -84,7 +87,7 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
         targets: ``(Q,)`` indices of the target lights.
     """
     smooth = gaussian_blur2d(mean_images[:, None], (9, 9), (2.0, 2.0))[:, 0]
-    ratio = (smooth[targets] + 0.01) / (smooth[source_index] + 0.01)
+    ratio = (smooth[targets] + MEASURED_FLOOR) / (smooth[source_index] + MEASURED_FLOOR)
     return {
         "copy": source.expand(len(targets), -1, -1),
         "mean_face": mean_images[targets],
@@ -93,13 +96,15 @@ def baseline_images(mean_images: Tensor, source: Tensor, source_index: int, targ
 
 
 def relighting_errors(statistics: FaceStatistics, faces: FaceImages, case: str, detail: float = 0.0) -> Tensor:
-    """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none; whole-face model.
+    """RMSE in grey levels of every person's image under every other light, ``(people, J)``, NaN where there is none;
+    whole-face model.
 
     Args:
         statistics: of other people, or of rendered heads.
         faces: the data.
         case: "front" or "side", the input's light.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see
+            :func:`facerelight.inference.detail.keep_detail`.
     """
     images, valid = to_grid(faces)
     source = _light_index(faces, SOURCES[case])
@@ -127,7 +132,8 @@ def evaluate_folds(
 ) -> tuple[dict[str, dict[str, Scores]], dict[str, float]]:
     """Protocols **yale-relight** and **yale-relight-newlights**.
 
-    Subjects are sorted; fold f tests those of rank f modulo ``folds`` with statistics made by ``make(images, lights, valid)`` from the rest.
+    Subjects are sorted; fold f tests those of rank f modulo ``folds`` with statistics made by
+    ``make(images, lights, valid)`` from the rest.
 
     Args:
         faces: photographs under labelled lights.
@@ -137,10 +143,12 @@ def evaluate_folds(
         new_lights: learn without the lights that are then asked for.
         estimated: estimate the input's light instead of taking its label.
         register: find where each face lies beside the model's.
-        detail: how much of the input's fine detail relit images keep, see :func:`facerelight.detail.keep_detail`.
+        detail: how much of the input's fine detail relit images keep, see
+            :func:`facerelight.inference.detail.keep_detail`.
 
     Returns:
-        Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light estimation.
+        Scores by case ("front", "side") and method (the covariances and the baselines), and figures about light
+        estimation.
     """
     images, valid = to_grid(faces)
     held_out = held_out_lights(faces) if new_lights else torch.zeros(len(faces.lights), dtype=torch.bool)

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 import platformdirs
 
-from facerelight.lights import even_hemisphere, light_from_angles
-from facerelight.sources import Lamp
+from facerelight.geometry.lights import even_hemisphere, light_from_angles
+from facerelight.geometry.sources import Lamp
 
 __all__ = ["HEIGHT", "TONES", "WIDTH", "LampImage", "ScannedHead", "decode_srgb", "encode_srgb", "lamp_points"]
 

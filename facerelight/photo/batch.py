@@ -15,10 +15,10 @@ from facerelight.photo.scenes import Scene, scene_paths
 from facerelight.photo.stages import Stage, StageLog
 
 if TYPE_CHECKING:
+    from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.faces.landmarks import Face
     from facerelight.photo.files.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
-    from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["Job", "Request", "choose_faces", "find_jobs", "relight_photo"]
 
@@ -114,7 +114,7 @@ def relight_photo(job: Job, request: Request, load: Load, say: Say) -> dict[str,
         report = _relight(job, request, photo, [other.pixels for other in more], chosen, relighter)
     report["stages"] = [*map(_stage, log.stages), *report["stages"]]
     lost = [f"{path.name}: {line}" for path in job.outputs[:1] for line in not_held(path, photo)]
-    from facerelight.sources import lights_behind
+    from facerelight.geometry.sources import lights_behind
 
     behind = lights_behind([lamp for scene in request.scenes for lamp in scene.lamps])
     report["warnings"] = [*lost, *behind, *report["warnings"]]
@@ -176,7 +176,7 @@ def _relight(
     relighter: StatisticalRelighter,
 ) -> dict[str, Any]:
     """Write every scene, the faces one after the other in the same picture, and the map; report on each face."""
-    from facerelight.lights import light_from_angles
+    from facerelight.geometry.lights import light_from_angles
     from facerelight.photo.session import PhotoRelighter
 
     light = None if request.source_light is None else light_from_angles(*request.source_light)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facerelight.sources import LUMINANCE
+from facerelight.numerics.luminance import LUMINANCE
 
 __all__ = ["LUMA", "SkinColour", "part_highlight", "relit_radiance", "to_display", "to_scene"]
 

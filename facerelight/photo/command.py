@@ -11,15 +11,15 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facerelight.inference.methods import RELIGHTING_METHODS
 from facerelight.photo.batch import Job, Load, Request, find_jobs, relight_photo
 from facerelight.photo.scenes import LAMP, parse_angles, parse_landmarks, parse_scenes
 
 if TYPE_CHECKING:
-    from facerelight.relighter import StatisticalRelighter
+    from facerelight.inference.relighter import StatisticalRelighter
 
 __all__ = ["relight_parser", "run_relight"]
 
-METHODS = ("expected", "map", "mle")
 COVARIANCES = ("face", "pixel")
 QUALITIES = ("draft", "standard", "reference")
 EPILOG = """The relit photo keeps size, depth, colour profile, EXIF and alpha. JPEG is written at quality 95 without
@@ -59,10 +59,10 @@ def relight_parser() -> ArgumentParser:
     option("--json", action="store_true", help="print what was done as JSON")
     option = parser.add_argument_group("the model").add_argument
     methods = "the mean image, the most probable one, or n without a prior, from three photos or more"
-    option("--method", default="expected", choices=METHODS, help=f"{methods} (default: expected)")
+    option("--method", default="expected", choices=RELIGHTING_METHODS, help=f"{methods} (default: expected)")
     option("--covariance", default="face", choices=COVARIANCES, help="whole-face or per-pixel model (default: face)")
     option("--quality", default="standard", choices=QUALITIES, help="of the statistics (default: standard)")
-    option("--statistics", metavar="FOLDER", help="trained statistics (default: the user's cache)")
+    option("--statistics", metavar="FOLDER", help="trained statistics (default: those of the quality)")
     return parser
 
 
@@ -85,7 +85,7 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
 
     @cache
     def load() -> StatisticalRelighter:
-        from facerelight.relighter import StatisticalRelighter
+        from facerelight.inference.relighter import StatisticalRelighter
 
         folder = statistics_folder(arguments.statistics, arguments.quality)
         return StatisticalRelighter.from_pretrained(folder, arguments.covariance)

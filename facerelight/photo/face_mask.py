@@ -6,7 +6,7 @@ import cv2
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
 
 __all__ = ["face_mask"]
 

@@ -14,19 +14,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.alignment import CropFrame
-from facerelight.config import default_statistics_folder, quality_config
-from facerelight.covariance import prior_mean
-from facerelight.illumination import KernelIlluminationEstimator, fit_soft_light, quasi_normal
-from facerelight.mle import MaximumLikelihood
+from facerelight.config import default_statistics_folder, find_statistics, quality_config
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import LightMixture
+from facerelight.inference.maximum_likelihood import MaximumLikelihood
+from facerelight.inference.methods import RELIGHTING_METHODS, Method
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.soft import fit_soft_light
+from facerelight.model.covariance import prior_mean
+from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
+from facerelight.numerics.sampling import quasi_normal
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
-from facerelight.relighter import METHODS, Method, StatisticalRelighter
-from facerelight.sources import LUMINANCE, LightMixture
 
 __all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
 
-DARK = 0.05  # radiance below which a quotient of average faces would only amplify noise
 LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
@@ -47,16 +50,22 @@ class SourceLight(NamedTuple):
 
 
 def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
-    """The relighter with the cached statistics of a quality, see :data:`facerelight.config.QUALITIES`.
+    """The relighter with packaged or cached statistics of a quality, see :func:`facerelight.config.find_statistics`.
+
+    Args:
+        quality: see :data:`facerelight.config.QUALITIES`; "standard" comes with the package.
+        cache: look only here; None: the package, then the user's cache.
 
     Raises:
         ValueError: an unknown quality.
         RuntimeError: they have not been trained yet; says which command does it.
     """
-    folder = default_statistics_folder(quality_config(quality), cache)
-    if not (folder / "statistics.safetensors").exists():
+    config = quality_config(quality)
+    folder = find_statistics(config, cache)
+    if folder is None:
+        place = default_statistics_folder(config, cache)
         command = "facerelight train" if quality == "standard" else f"facerelight relight PHOTO --quality {quality}"
-        raise RuntimeError(f"statistics: none of quality {quality!r} in {folder}; train them once with `{command}`")
+        raise RuntimeError(f"statistics: none of quality {quality!r} in {place}; train them once with `{command}`")
     return StatisticalRelighter.from_pretrained(folder)
 
 
@@ -74,7 +83,7 @@ class FaceModel:
         relighter: the model.
         crops: ``(3, h, w)`` scene radiance of the photograph's face, and of further photographs of the same person.
         source_light: ``(3,)`` where the first photograph's light is known; None estimates it.
-        method: "expected", "map" or "mle", see :class:`facerelight.relighter.StatisticalRelighter`.
+        method: "expected", "map" or "mle", see :class:`facerelight.inference.relighter.StatisticalRelighter`.
         rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that
             looks ahead under the lamp turned back, and so the model sees all lights from the head; None: it looks
             ahead.
@@ -91,8 +100,8 @@ class FaceModel:
         method: Method = "expected",
         rotation: np.ndarray | None = None,
     ) -> None:
-        if method not in METHODS:
-            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        if method not in RELIGHTING_METHODS:
+            raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
         self.relighter, self.frame = relighter, crop_frame(relighter)
         self.lights = relighter.statistics.lights.cpu()  # pictures stay on the CPU, whatever device the model is on
         self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)
@@ -163,7 +172,9 @@ class FaceModel:
         direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
         single = prior_mean(statistics, direction[None].to(statistics.lights)).view(statistics.size).cpu().clamp_min(0)
-        quotient = ((single + DARK) / (mixture + DARK)).clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
+        quotient = ((single + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
+            1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
+        )
         return SourceLight(direction, amounts, luminance / strength * quotient)
 
     def crops(self, lights: Tensor) -> Tensor:

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import LightMixture
+from facerelight.numerics.luminance import RATIO_FLOOR
 from facerelight.photo.bust.frame import BUST, FINE, between, blur, crop_onto
 from facerelight.photo.bust.shading import BustShading
-from facerelight.sources import LightMixture
 
 __all__ = ["FaceEvidence", "LightRatio"]
 
-DARK = 0.02  # of the face's mean radiance: below it ratios level out
 LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
 COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
 EDGES = 0.85  # of the face's fine shading is the bust's
@@ -73,7 +73,7 @@ class LightRatio:
         self._around = np.maximum(blur(self._sure, AROUND * FINE.density), 1e-4)
         self._fully_lit = np.maximum(blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
-        self.dark = DARK * max(mean, 1e-3)
+        self.dark = RATIO_FLOOR * max(mean, 1e-3)
         self._soft: dict[tuple[bytes, bytes, float], tuple[np.ndarray, np.ndarray]] = {}
         own = self._maps(source)
         self.source_face, self.source_bust = own[0][..., 0], own[1][..., 0]

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from facerelight.sources import Lamp
+    from facerelight.geometry.sources import Lamp
 
 __all__ = ["Scene", "join_values", "parse_angles", "parse_lamp", "parse_landmarks", "parse_scenes", "scene_paths"]
 
@@ -55,7 +55,7 @@ def parse_lamp(text: str, size: float = 5.0) -> Lamp:
         >>> parse_lamp("-45,30,size=15,power=.8").size
         15.0
     """
-    from facerelight.sources import Lamp
+    from facerelight.geometry.sources import Lamp
 
     angles = [part for part in text.split(",") if "=" not in part]
     named = [part.split("=", 1) for part in text.split(",") if "=" in part]
@@ -122,7 +122,7 @@ def parse_scenes(
     Raises:
         ValueError: both ways at once, lists that do not pair up, the same lamp twice, or a number out of range.
     """
-    from facerelight.sources import Lamp
+    from facerelight.geometry.sources import Lamp
 
     if lights:
         if azimuth is not None or elevation is not None:

@@ -21,8 +21,11 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from facerelight.alignment import fit_similarity
-from facerelight.lights import angles_from_light, light_from_angles
+from facerelight.geometry.alignment import fit_similarity
+from facerelight.geometry.lights import angles_from_light, light_from_angles
+from facerelight.geometry.sources import Lamp, LightMixture, lights_behind, scene_light
+from facerelight.inference.methods import Method
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
 from facerelight.photo.bust.matte import ground_behind, person_matte
 from facerelight.photo.bust.shading import BustShading
@@ -38,8 +41,6 @@ from facerelight.photo.files.pixels import as_rgb, like, small_copy
 from facerelight.photo.ratio import SAME_LIGHT, FaceEvidence, LightRatio
 from facerelight.photo.skin import skin_colour
 from facerelight.photo.stages import Stage, StageLog
-from facerelight.relighter import Method, StatisticalRelighter
-from facerelight.sources import Lamp, LightMixture, lights_behind, scene_light
 
 __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
@@ -86,7 +87,7 @@ def relight(
         elevation: degrees; positive above.
         landmarks: three (x, y) pixel pairs: eye centre at image-left, eye centre at image-right, mouth centre; None
             finds the largest face.
-        relighter: default: the one with the cached statistics of ``quality`` (``facerelight train`` makes them).
+        relighter: default: the one with the statistics of ``quality``, see :func:`load_relighter`.
         quality: "draft", "standard" or "reference": coarser statistics of fewer heads, or finer ones of more.
         lights: several lamps, or other mixtures of lights, instead of one at ``azimuth``, ``elevation``.
         size: angular radius of the lamp in degrees: 1 a bare bulb, 5 a small reflector, 15 a soft box, 40 a window.

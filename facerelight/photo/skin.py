@@ -1,4 +1,5 @@
-"""Where the skin of a photograph is, and what colour: without highlights, and without what walls and leaves cast on it."""
+"""Where the skin of a photograph is, and what colour: without highlights, and without what walls and leaves cast on
+it."""
 
 from __future__ import annotations
 

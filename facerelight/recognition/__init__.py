@@ -1,1 +1,2 @@
-"""Recognition from one photograph a person: exemplars under every light, subspaces, classifiers and their measurement."""
+"""Recognition from one photograph a person: exemplars under every light, subspaces, classifiers and their
+measurement."""

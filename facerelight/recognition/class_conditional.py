@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from facerelight.recognition.classifiers import Classifier, Reject
+from facerelight.recognition.classifier import Classifier, Reject
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
 __all__ = ["GaussianClassifier"]
@@ -16,18 +16,20 @@ __all__ = ["GaussianClassifier"]
 class GaussianClassifier(Classifier):
     """The likeliest person, each a mixture of probabilistic principal component analysers (Tipping and Bishop 1999).
 
-    A component is ``N(m, B diag(l) B^T + s I)``; its exemplars are found by k-means, its parameters in closed form. Where
-    :class:`IndividualPCAClassifier` lets a probe lie anywhere in a person's subspace, here what is far from their exemplars is unlikely.
+    A component is ``N(m, B diag(l) B^T + s I)``; its exemplars are found by k-means, its parameters in closed form.
+    Where :class:`IndividualPCAClassifier` lets a probe lie anywhere in a person's subspace, here what is far from their
+    exemplars is unlikely.
 
     Args:
         components: of each person's mixture; 1 is a single Gaussian. People with too few exemplars have fewer.
         dimension: directions of each component that vary beyond the noise.
-        noise: variance of a pixel beyond the exemplars' own, in units of their mean square, for what they do not know of photographs.
+        noise: variance of a pixel beyond the exemplars' own, in units of their mean square, for what they do not know
+            of photographs.
         normalizer, shift: see :class:`Classifier`.
         reject: least score that is not a stranger, in nats a pixel; "fit" finds it; see :class:`Classifier`.
 
-    Buffers: ``means (S, D)``, ``bases (S, D, k)``, ``spread (S, k)``, ``floor (S,)``, ``log_weight (S,)`` and ``owner (S,)`` of the S
-    components of all people.
+    Buffers: ``means (S, D)``, ``bases (S, D, k)``, ``spread (S, k)``, ``floor (S,)``, ``log_weight (S,)`` and
+    ``owner (S,)`` of the S components of all people.
 
     Example:
         >>> images = torch.rand(12, 8, 8)
@@ -88,11 +90,8 @@ class GaussianClassifier(Classifier):
     def _scores(self, rows: Tensor) -> Tensor:
         """Log likelihood of ``rows (M, D)`` under each person, in nats a pixel, ``(M, C)``."""
         size, width = self.bases.shape[1:]
-        rows, means, bases = (
-            rows.double(),
-            self.means.double(),
-            self.bases.double(),
-        )  # the noise divides a difference of large numbers
+        # The noise divides a difference of large numbers.
+        rows, means, bases = rows.double(), self.means.double(), self.bases.double()
         offset = torch.einsum("sdk,sd->sk", bases, means)
         inside = (torch.matmul(rows, bases).transpose(0, 1) - offset).square()  # (M, S, k)
         length = rows.square().sum(1, keepdim=True) - 2 * rows @ means.T + means.square().sum(1)

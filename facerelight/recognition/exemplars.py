@@ -1,12 +1,14 @@
-"""Exemplars: pictures of a person under lights nobody photographed (6.1, 6.3), and the subspace they span without making them (6.2)."""
+"""Exemplars: pictures of a person under lights nobody photographed (6.1, 6.3), and the subspace they span without
+making them (6.2)."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from facerelight.lights import angle_grid, even_hemisphere, hemisphere_quadrature
-from facerelight.posterior import PersonPosterior, Posterior
+from facerelight.geometry.lights import angle_grid, even_hemisphere, hemisphere_quadrature
+from facerelight.inference.person import PersonPosterior
+from facerelight.inference.posterior import Posterior
 from facerelight.recognition.subspaces import Subspace
 
 __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]
@@ -15,8 +17,8 @@ __all__ = ["direct_subspace", "exemplar_lights", "light_moments", "synthesize"]
 def exemplar_lights(kind: str = "dome") -> tuple[Tensor, Tensor]:
     """Lights ``(Q, 3)`` and weights ``(Q,)`` to synthesise under.
 
-    "grid": 30 x 30 angles of equal weight (6.3); "hemisphere": uniform, by quadrature (6.1); "dome": 80 even lights; "cap": 60 even lights
-    within 66 degrees of the camera, where relit faces are not mostly shadow.
+    "grid": 30 x 30 angles of equal weight (6.3); "hemisphere": uniform, by quadrature (6.1); "dome": 80 even lights;
+    "cap": 60 even lights within 66 degrees of the camera, where relit faces are not mostly shadow.
     """
     if kind == "dome":
         return even_hemisphere(80), torch.full((80,), 1 / 80)
@@ -37,10 +39,12 @@ def synthesize(posterior: Posterior, lights: Tensor) -> Tensor:
 
 
 def light_moments(posterior: Posterior, lights: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """The person-independent half of (6.1): mean ``(L,)`` of the features ``h(s) = (s, w(s), sigma-free w(s))`` and a root of their covariance.
+    """The person-independent half of (6.1): mean ``(L,)`` of the features ``h(s) = (s, w(s), sigma-free w(s))`` and a
+    root of their covariance.
 
-    The posterior mean is ``i(s) = A h(s)`` with ``h = (s, w(s))`` and ``A = (n_MAP, v_map)`` plus ``sigma(s) w(s).b``; with the deviation's
-    std taken as fixed per bootstrap light (covariance interpolation), ``A = (n_MAP, v_map + sigma b)`` and nothing else depends on s.
+    The posterior mean is ``i(s) = A h(s)`` with ``h = (s, w(s))`` and ``A = (n_MAP, v_map)`` plus ``sigma(s) w(s).b``;
+    with the deviation's std taken as fixed per bootstrap light (covariance interpolation),
+    ``A = (n_MAP, v_map + sigma b)`` and nothing else depends on s.
 
     Returns:
         ``mean (L,)`` and ``root (L, r)`` with ``root root^T`` the weighted covariance of h, L = 3 + J.
@@ -58,7 +62,8 @@ def light_moments(posterior: Posterior, lights: Tensor, weights: Tensor) -> tupl
 def direct_subspace(person: PersonPosterior, moments: tuple[Tensor, Tensor], dimension: int) -> Subspace:
     """The individual subspace straight from the posterior, not one image synthesised (6.2, eq. 6.1).
 
-    The covariance of all of a person's images is ``A Sigma_h A^T``; its leading eigenvectors are the left singular vectors of ``A root``.
+    The covariance of all of a person's images is ``A Sigma_h A^T``; its leading eigenvectors are the left singular
+    vectors of ``A root``.
     """
     mean, root = moments
     maps = torch.cat((person.n_map, person.v_map + person.pixel.v_std.flatten(1) * person.pull))  # A^T, (L, P)

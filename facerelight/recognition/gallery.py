@@ -11,14 +11,14 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from facerelight.detail import keep_detail
+from facerelight.inference.detail import keep_detail
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, crop_frame
 from facerelight.photo.files.disk import read_photo
-from facerelight.recognition.classifiers import IndividualPCAClassifier
 from facerelight.recognition.exemplars import exemplar_lights
+from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import Inside, make_normalizer
 from facerelight.recognition.subspaces import Subspace
-from facerelight.relighter import StatisticalRelighter
 
 __all__ = ["Gallery", "Identification"]
 
@@ -27,7 +27,8 @@ FACE = 0.95  # of the outline; hair and background are left out of the compariso
 
 
 class Identification(NamedTuple):
-    """``name``, None for a stranger; ``errors``: 1 minus the cosine of :class:`IndividualPCAClassifier` by name, smallest first."""
+    """``name``, None for a stranger; ``errors``: 1 minus the cosine of :class:`IndividualPCAClassifier` by name,
+    smallest first."""
 
     name: str | None
     errors: dict[str, float]

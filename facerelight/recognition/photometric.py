@@ -1,4 +1,5 @@
-"""Photometric normalisation: take most of the light out of a picture before comparing it. Composes with any classifier of this folder."""
+"""Photometric normalisation: take most of the light out of a picture before comparing it. Composes with any classifier
+of this folder."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ from functools import partial
 import torch
 from torch import Tensor, nn
 
-from facerelight.filters import gaussian_blur
+from facerelight.numerics.blur import gaussian_blur
+from facerelight.numerics.luminance import NOISE_FLOOR
 
 __all__ = ["NORMALIZERS", "Inside", "TanTriggs", "UnitLength", "WeberFaces", "make_normalizer"]
 
@@ -51,11 +53,12 @@ class TanTriggs(nn.Module):
 
 
 class WeberFaces(nn.Module):
-    """Weber local descriptor as an image (Wang et al. 2011): relative contrast of each pixel to its neighbours, squashed.
+    """Weber local descriptor as an image (Wang et al. 2011): relative contrast of each pixel to its neighbours,
+    squashed.
 
     Args:
-        sigma: width of the blur that goes first, in pixels: the finest contrast that counts. Pores and stubble tell people apart best
-            (0.5 pixels of 96 x 84), in sharp photographs that lie within a pixel of each other.
+        sigma: width of the blur that goes first, in pixels: the finest contrast that counts. Pores and stubble tell
+            people apart best (0.5 pixels of 96 x 84), in sharp photographs that lie within a pixel of each other.
         gain: of the contrast, before it is squashed.
 
     Shape: ``(M, H, W)`` to ``(M, H, W)``, each image then of unit length.
@@ -66,7 +69,7 @@ class WeberFaces(nn.Module):
         self.sigma, self.gain = sigma, gain
 
     def forward(self, images: Tensor) -> Tensor:
-        smooth = gaussian_blur(images.clamp_min(0), self.sigma) + 2 / 255
+        smooth = gaussian_blur(images.clamp_min(0), self.sigma) + NOISE_FLOOR
         around = nn.functional.avg_pool2d(nn.functional.pad(smooth[:, None], (1, 1, 1, 1), mode="replicate"), 3, 1)[
             :, 0
         ]

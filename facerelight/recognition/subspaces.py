@@ -25,7 +25,8 @@ def principal_subspace(
 
     Args:
         exemplars: rows, float.
-        dimension: how many components; None: as few as leave at most ``error`` of the exemplars' energy (6.1: 1 % reconstruction error).
+        dimension: how many components; None: as few as leave at most ``error`` of the exemplars' energy (6.1: 1 %
+            reconstruction error).
         error: fraction of ``sum |x - x_k|^2 / sum |x|^2``.
         weights: ``(M,)`` quadrature weights; None: equal.
 
@@ -71,7 +72,8 @@ def principal_angles(a: Tensor, b: Tensor) -> Tensor:
 
 
 class IncrementalSubspace(nn.Module):
-    """A PCA subspace that grows image by image (Chandrasekaran et al. 1997): only images that it represents badly change it.
+    """A PCA subspace that grows image by image (Chandrasekaran et al. 1997): only images that it represents badly
+    change it.
 
     Args:
         error: relative reconstruction error ``|x - x_k|^2 / |x|^2`` above which an image is significant.

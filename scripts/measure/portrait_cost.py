@@ -2,8 +2,8 @@
 
 python scripts/measure/portrait_cost.py --json portrait_cost.json
 
-The portrait is the astronaut (NASA, public domain, from scikit-image), 560 x 700 with 98 pixels between the eyes. Medians
-of runs that alternate; a busy machine makes them larger, so its load is said too.
+The portrait is the astronaut (NASA, public domain, from scikit-image), 560 x 700 with 98 pixels between the eyes.
+Medians of runs that alternate; a busy machine makes them larger, so its load is said too.
 """
 
 import argparse
@@ -22,10 +22,11 @@ import cv2
 import numpy as np
 import torch
 
+from facerelight.evaluation.results import ScriptParser
+from facerelight.geometry.sources import Lamp
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, load_relighter
 from facerelight.photo.faces.landmarks import Face, find_faces
-from facerelight.relighter import StatisticalRelighter
-from facerelight.sources import Lamp
 
 UNIT, WIDTH, HEIGHT = 98.0, 560, 700  # pixels between the eyes, and of the portrait
 WARM_UP, LAMP, OTHER = Lamp(20, 10), Lamp(60, 20), Lamp(-50, 30)
@@ -132,7 +133,8 @@ def large_photo(small: np.ndarray, face: Face, fills: bool) -> np.ndarray:
 
 
 def held(name: str) -> float:
-    """Megabytes of this process: "VmRSS" now, "VmHWM" at most. (getrusage's peak counts the process that started it.)"""
+    """Megabytes of this process: "VmRSS" now, "VmHWM" at most. (getrusage's peak counts the process that started
+    it.)"""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith(name + ":"))
 
@@ -218,12 +220,12 @@ def lines(report: dict[str, Any], goals: dict[str, float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--threads", type=int, default=2, help="default: 2")
     parser.add_argument("--repeats", type=int, default=7, help="of the portrait; fewer of what takes long (default: 7)")
     parser.add_argument("--parts", default="portrait,stages,megapixels,command", help="several with commas")
     parser.add_argument("--large", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(args.threads)
@@ -248,9 +250,7 @@ def main() -> None:
         report["command"] = command(args.threads)
     report["load after"] = os.getloadavg()[0]
     print(lines(report, GOALS))
-    if args.json:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(report, indent=1))
+    parser.save_report(args.json, report)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame
 from facerelight.evaluation.photographs import MEASURES, photograph_measures
+from facerelight.geometry.alignment import CropFrame
 
 FRAME = CropFrame(96, 84, 0.25)
 LANDMARKS = np.array([[115.0, 110.0], [185.0, 110.0], [150.0, 186.0]])

@@ -12,7 +12,7 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 from facerelight.evaluation import portrait, scan
 from facerelight.evaluation.portrait import Case, PortraitTruth, Regions, edge_errors, film, fit_gain, portrait_errors
 from facerelight.evaluation.scan import ScannedHead, decode_srgb, encode_srgb, lamp_points
-from facerelight.sources import Lamp
+from facerelight.geometry.sources import Lamp
 
 SIZE = (120, 100)
 UNIT = 30.0

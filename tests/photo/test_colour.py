@@ -5,18 +5,9 @@ import pytest
 import torch
 from scipy.optimize import brentq
 
-from facerelight.alignment import CropFrame, fit_similarity
+from facerelight.geometry.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust.frame import Window, working_window
-from facerelight.photo.colour import (
-    CAST,
-    LUMA,
-    WARM,
-    SkinColour,
-    part_highlight,
-    relit_radiance,
-    to_display,
-    to_scene,
-)
+from facerelight.photo.colour import CAST, LUMA, WARM, SkinColour, part_highlight, relit_radiance, to_display, to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.skin import skin_colour
 
@@ -261,7 +252,7 @@ def test_outline_mixes_a_relit_person_with_the_ground() -> None:
 
 
 def test_blown_skin_takes_the_typical_colour_in_shade() -> None:
-    """What a camera clipped has lost its colour; darkened, it is skin again, and only as surely as the light changed."""
+    """What a camera clipped has lost its colour; darkened it is skin again, as surely as the light changed."""
     scene = np.full((4, 4, 3), (1.0, 0.97, 0.7), np.float32)
     typical, sure = np.array((1.3, 0.92, 0.72), np.float32), np.ones((4, 4), np.float32)
     dark = relit(scene, np.full((4, 4, 1), -1.0, np.float32), change=1.0, lit=sure, typical=typical)[0, 0]

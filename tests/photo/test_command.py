@@ -17,12 +17,13 @@ import facerelight.photo.faces.landmarks as landmarks_module
 import facerelight.photo.session as session_module
 from facerelight.cli import QUALITIES, main
 from facerelight.config import QUALITIES as CONFIGS
+from facerelight.geometry.sources import Lamp
+from facerelight.inference.methods import RELIGHTING_METHODS
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import command
 from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError
 from facerelight.photo.files.disk import read_photo
 from facerelight.photo.scenes import Scene, join_values, parse_lamp, parse_scenes, scene_paths
-from facerelight.relighter import METHODS, StatisticalRelighter
-from facerelight.sources import Lamp
 
 MARKS = "20,24,44,24,32,44"
 
@@ -95,7 +96,7 @@ def run(*arguments: str) -> int:
 
 def test_choices_are_those_of_the_package() -> None:
     assert tuple(CONFIGS) == command.QUALITIES == QUALITIES
-    assert command.METHODS == METHODS
+    assert command.RELIGHTING_METHODS == RELIGHTING_METHODS
 
 
 def test_lamps_from_text() -> None:

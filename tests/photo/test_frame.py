@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity
+from facerelight.geometry.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust.frame import (
     BUST,
     FINE,

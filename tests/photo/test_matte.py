@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame, fit_similarity
+from facerelight.geometry.alignment import CropFrame, fit_similarity
 from facerelight.photo.bust import matte as matte_module
 from facerelight.photo.bust.frame import Window, working_window
 from facerelight.photo.bust.matte import NETWORK_SIZE, ground_behind, person_matte
@@ -199,7 +199,7 @@ def test_blank_ground_is_no_person(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gaps_in_hair_show_the_ground(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hole in the hair through which a plain, not quite flat ground shows is no person; one that varies says nothing."""
+    """A hole in the hair through which a plain ground shows is no person; a ground that varies says nothing."""
     wall = np.random.default_rng(1).integers(-3, 4, (400, 400, 1))
     for roughness, share in ((1, (0.0, 0.3)), (14, (0.8, 1.0))):
         image, window, figure = portrait(0)

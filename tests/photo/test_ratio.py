@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.sources import Lamp, LightMixture, fill_light, scene_light
 from facerelight.photo.bust.frame import BUST, FINE, crop_to_bust
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import BELOW, Bust
 from facerelight.photo.ratio import BRIGHTEST, BUST_BRIGHTEST, DARKEST, LEAK, FaceEvidence, LightRatio
-from facerelight.sources import Lamp, LightMixture, fill_light, scene_light
 
 CROP = CropFrame(48, 42, 0.25)
 CENTRE, RADIUS = (0.0, -0.4), 2.3
@@ -255,7 +255,8 @@ def test_sources_of_one_number_are_one(ratio: LightRatio) -> None:
 
 
 def test_what_the_own_light_leaves_unexplained_goes_with_it(shading: BustShading, ratio: LightRatio) -> None:
-    """A patch that the photograph shows darker than its fitted light explains is lifted by as much under another light."""
+    """A patch that the photograph shows darker than its fitted light explains is lifted by as much under another
+    light."""
     known, (x, y) = evidence(), crop_places()
     patch = np.hypot(x + 0.25, y + 0.5) < 0.3
     spotted = LightRatio(

@@ -9,10 +9,10 @@ from PIL import Image, ImageOps
 from test_files import WIDE
 
 from facerelight.cli import main
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import relight
 from facerelight.photo.files.disk import read_photo
 from facerelight.photo.files.sixteen_bits import write_png
-from facerelight.relighter import StatisticalRelighter
 
 MARKS = ((202.0, 101.0), (247.0, 103.0), (221.0, 144.0))
 TEXT = ",".join(str(v) for point in MARKS for v in point)

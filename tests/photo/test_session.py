@@ -8,13 +8,13 @@ import pytest
 import torch
 from PIL import Image
 
+from facerelight.geometry.sources import Lamp, fill_light, scene_light
+from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, relight
 from facerelight.photo import session as session_module
 from facerelight.photo.bust import matte as matte_module
 from facerelight.photo.face_model import FaceModel
 from facerelight.photo.files.pixels import as_rgb, like
-from facerelight.relighter import StatisticalRelighter
-from facerelight.sources import Lamp, fill_light, scene_light
 
 MARKS = np.array(((202.0, 101.0), (247.0, 103.0), (221.0, 144.0)))
 HALF = (MARKS + 0.5) / 2 - 0.5

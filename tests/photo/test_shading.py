@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from facerelight.lights import light_from_angles
+from facerelight.geometry.lights import light_from_angles
+from facerelight.geometry.sources import Lamp
 from facerelight.photo.bust.frame import BUST, FINE, Grid
 from facerelight.photo.bust.shading import (
     COARSE_BIAS,
@@ -17,7 +18,6 @@ from facerelight.photo.bust.shading import (
     visible_share,
 )
 from facerelight.photo.bust.surface import BELOW, Bust
-from facerelight.sources import Lamp
 
 DENSITY = 32
 MARCH = {"first": 0.03, "growth": 1.035, "bias": FINE_BIAS}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facerelight.alignment import CropFrame
+from facerelight.geometry.alignment import CropFrame
 
 __all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "working_window"]
 

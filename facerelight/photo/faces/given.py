@@ -54,6 +54,7 @@ def check_landmarks(landmarks: np.ndarray, shape: tuple[int, ...]) -> Tensor:
     if abs(below) > 1e-2 and (below < 0.3 or below > 4 or abs(aside) > 1.5):
         hint = "are the eyes swapped?" if below < 0 else "is the mouth in its place?"
         raise ValueError(
-            f"landmarks: expected eye at image-left, eye at image-right, and the mouth below them, got {points.tolist()}; {hint}"
+            "landmarks: expected eye at image-left, eye at image-right, and the mouth below them,"
+            f" got {points.tolist()}; {hint}"
         )
     return points

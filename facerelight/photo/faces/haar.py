@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facerelight.alignment import CANONICAL_LANDMARKS
+from facerelight.geometry.alignment import CANONICAL_LANDMARKS
 
 __all__ = ["haar_landmarks"]
 

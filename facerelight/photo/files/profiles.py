@@ -14,9 +14,11 @@ from typing import Protocol
 import numpy as np
 from PIL import Image, ImageCms
 
+from facerelight.numerics import luminance
+
 __all__ = ["SRGB", "SRGB_GREY", "MatrixProfile", "PlainCmyk", "Profile", "TableProfile", "eight_bits", "read_profile"]
 
-LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
+LUMINANCE = np.array(luminance.LUMINANCE)
 SRGB_TO_XYZ = np.array(  # relative to D50, as in the ICC's own sRGB profile
     ((0.4360747, 0.3850649, 0.1430804), (0.2225045, 0.7168786, 0.0606169), (0.0139322, 0.0971045, 0.7141733))
 )

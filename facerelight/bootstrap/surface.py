@@ -1,0 +1,105 @@
+"""What the camera sees of a painted head, and the head's relief: a height map that bounds what can cast shadows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from facerelight.bootstrap.heads import Head
+from facerelight.bootstrap.renderer import MeshRenderer
+from facerelight.bootstrap.skin import Look, paint
+
+__all__ = ["AROUND", "Relief", "Surface", "view_surface"]
+
+# Cells along each side of the light map; the relief that bounds occlusion is the part with the head in it.
+RELIEF_SIZE = 256
+AROUND = np.ones((5, 5), np.uint8)  # rounding of places to cells, and the soft edge of a shadow
+CLIFF = 2.5  # relief steeper than this may be hidden in part by its own edge, whatever the light's direction
+
+
+class Relief(NamedTuple):
+    """The head's front as a height map in cells; bounds what can stand between a visible point and a light.
+
+    ``highest (R, C)`` of each cell and those around it; ``slope (4, R, C)``, its steepest rise towards +x, -x, +y and
+    -y; ``cliff (R, C)``, where it is steep in any direction; ``step``, a cell's side in mesh units; ``corner (2,)``,
+    column and row of the map's origin, counted from the first cell; ``radius``, cells from there to the farthest
+    visible pixel.
+    """
+
+    highest: np.ndarray
+    slope: np.ndarray
+    cliff: np.ndarray
+    step: float
+    corner: tuple[float, float]
+    radius: int
+
+
+class Surface(NamedTuple):
+    """What the camera sees of a painted head, at its P visible pixels.
+
+    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; and the head's
+    :class:`Relief`.
+    """
+
+    position: Tensor
+    normal: Tensor
+    albedo: Tensor
+    pixel: Tensor
+    size: tuple[int, int]
+    relief: Relief
+
+
+def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
+    """Render a head's geometry once, paint it, and map its relief; ``renderer`` keeps the mesh for the light passes of
+    :func:`shade`."""
+    features = np.concatenate((head.reference, head.is_eye[:, None]), 1)
+    renderer.load(head.vertices, head.normals(), head.triangles, features)
+    seen = renderer.geometry()
+    inside = torch.from_numpy(seen.inside.copy())
+    pixel = inside.flatten().nonzero()[:, 0]
+    position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
+    albedo = paint(values[:, :3], values[:, 3], look)
+    return Surface(
+        position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
+    )
+
+
+def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
+    """The relief seen along the camera axis, pooled from a depth pass over the whole head; ``position`` of the visible
+    pixels."""
+    factor = renderer.shadow_size // RELIEF_SIZE
+    texel = 2 * renderer.extent / renderer.shadow_size
+    step = factor * texel
+    low, high = head.vertices[:, :2].min(0) / step, head.vertices[:, :2].max(0) / step
+    edges = [
+        int(np.clip(np.floor(edge) + RELIEF_SIZE // 2, 1, RELIEF_SIZE - 2))
+        for edge in (low[0], -high[1], high[0], -low[1])
+    ]
+    left, top, right, bottom = edges[0] - 1, edges[1] - 1, edges[2] + 2, edges[3] + 2
+    window = (left * factor, top * factor, (right - left) * factor, (bottom - top) * factor)
+    # Every other texel bounds well enough.
+    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())
+    factor, texel = factor // 2, 2 * texel
+    pool = torch.nn.functional.max_pool2d
+    solid = fine > -5 * renderer.extent
+    highest = cv2.dilate(pool(fine[None], factor)[0].numpy(), AROUND)
+    # A step down to where nothing is hides nothing from the surface beside it.
+    along_x = (fine.diff(dim=1) / texel).masked_fill(~(solid[:, 1:] & solid[:, :-1]), 0.0)
+    along_y = (-fine.diff(dim=0) / texel).masked_fill(~(solid[1:] & solid[:-1]), 0.0)
+    pad = torch.nn.functional.pad
+    slope = torch.stack(
+        [
+            pool(sign * axis[None], factor)[0]
+            for axis in (pad(along_x, (0, 1)), pad(along_y, (0, 0, 0, 1)))
+            for sign in (1, -1)
+        ]
+    )
+    radius = int(torch.linalg.vector_norm(position[:, :2], dim=1).max() / step) + 2
+    cliff = torch.hypot(slope[:2].amax(0), slope[2:].amax(0)) > CLIFF
+    return Relief(
+        highest, slope.numpy(), cliff.numpy(), step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius
+    )

@@ -1,0 +1,86 @@
+"""The special case of a fixed, unknown n (3.5.1): at least three inputs under known, independent lights tell it without
+a prior."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from facerelight.geometry.lights import unit_lights
+from facerelight.inference.posterior import Relit
+from facerelight.model.covariance import deviation_covariance, light_terms, observed
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics import gaussian
+
+__all__ = ["MaximumLikelihood"]
+
+LARGEST_CONDITION = 1e4  # of the input lights' matrix
+
+
+class MaximumLikelihood:
+    """n by maximum likelihood (3.19), the deviation by kriging (3.20); condition once, render often.
+
+    Args:
+        statistics: only the deviation's are used: n has no prior here.
+        images: ``(K, H, W)`` of one person, K >= 3.
+        lights: ``(K, 3)`` of rank 3.
+
+    Raises:
+        ValueError: fewer than three lights, or lights (nearly) in one plane; says how many and the condition number.
+    """
+
+    def __init__(self, statistics: FaceStatistics, images: Tensor, lights: Tensor) -> None:
+        assert statistics.pixel is not None
+        self.statistics = statistics
+        self.lights = unit_lights(lights)
+        singular = torch.linalg.svdvals(self.lights.double())
+        condition = float(singular[0] / singular[-1]) if len(lights) >= 3 and singular[-1] > 0 else float("inf")
+        if condition > LARGEST_CONDITION:
+            flat = f" whose lights nearly do (condition number {condition:.3g})" if len(lights) >= 3 else ""
+            raise ValueError(
+                "method='mle': expected at least 3 input images under lights that do not lie in one plane, "
+                f"got {len(lights)}{flat}; give more lights or use method='expected'"
+            )
+        self.terms = light_terms(statistics, statistics.pixel, self.lights)
+        covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)
+        self.factor = gaussian.safe_cholesky(observed(covariance))
+        average = self.terms.weights @ statistics.v_mean.flatten(1)  # (K, P)
+        residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
+        design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)
+        self._design = gaussian.solve_lower(self.factor, design)
+        white = gaussian.solve_lower(self.factor, residual)
+        self._precision = gaussian.safe_cholesky(self._design.mT @ self._design)  # of n, (P, 3, 3)
+        self.normal = torch.cholesky_solve(self._design.mT @ white, self._precision)  # n_MLE, (P, 3, 1)
+        self._left = white - self._design @ self.normal
+
+    def render(self, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and variance ``(P,)`` under one light ``(3,)``.
+
+        The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
+        input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
+        """
+        statistics, pixel = self.statistics, self.statistics.pixel
+        assert pixel is not None
+        target = unit_lights(target)[None]
+        terms = light_terms(statistics, pixel, target)
+        shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
+        cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r
+        average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]
+        mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
+        missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
+        of_normal = gaussian.solve_lower(self._precision, missing).square().sum((1, 2))
+        own = deviation_covariance(statistics, pixel, terms, terms)[:, 0, 0]
+        return mean, of_normal + gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
+
+    def relight(self, targets: Tensor) -> Relit:
+        """Mean and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
+        mean, variance = (
+            torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True)
+        )
+        size = self.statistics.size
+        return Relit(mean.unflatten(1, size).to(self.lights), variance.unflatten(1, size).to(self.lights))
+
+    def normal_covariance(self) -> Tensor:
+        """``Var[n_MLE] = (S Sigma_v^-1 S^T)^-1`` of every pixel, ``(P, 3, 3)``."""
+        eye = torch.eye(3, dtype=torch.float64, device=self._precision.device).expand_as(self._precision)
+        return torch.cholesky_solve(eye, self._precision)

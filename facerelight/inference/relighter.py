@@ -1,0 +1,260 @@
+"""StatisticalRelighter: the optimal image of a face under a new light, and its variance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from facerelight.geometry.lights import unit_lights
+from facerelight.inference.maximum_likelihood import MaximumLikelihood
+from facerelight.inference.methods import RELIGHTING_METHODS, Method
+from facerelight.inference.person import PersonPosterior
+from facerelight.inference.posterior import Posterior, Relit
+from facerelight.light.estimator import LightEstimator
+from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.model.compression import compress_estimator, decompress_estimator
+from facerelight.model.covariance import prior_mean
+from facerelight.model.registration import deform
+from facerelight.model.registration import register as find_deformation
+from facerelight.model.statistics import FaceStatistics
+
+__all__ = ["StatisticalRelighter"]
+
+Covariance = Literal["pixel", "face"]
+
+
+class StatisticalRelighter(nn.Module):
+    """Render faces under new lights as the conditional mean of a Gaussian model learned from other faces (3.17,
+    Algorithm 2).
+
+    Args:
+        statistics: what the bootstrap taught; its maps are registered buffers of this module.
+        covariance: "pixel" treats every pixel on its own, as the thesis does; "face" adds a code shared by the whole
+            face.
+        estimator: finds the input lights where they are not given.
+
+    Example:
+        >>> lights = torch.eye(3)
+        >>> relighter = StatisticalRelighter(FaceStatistics.fit(torch.rand(5, 3, 8, 8), lights, rank=2))
+        >>> relighter(torch.rand(1, 1, 8, 8), lights, source_lights=lights[None, :1]).mean.shape
+        torch.Size([1, 3, 8, 8])
+    """
+
+    def __init__(
+        self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: LightEstimator | None = None
+    ) -> None:
+        super().__init__()
+        if covariance not in ("pixel", "face"):
+            raise ValueError(f"covariance: expected 'pixel' or 'face', got {covariance!r}")
+        if statistics.pixel is None:
+            raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
+        if covariance == "face" and statistics.face is None:
+            raise ValueError(
+                "covariance='face': these statistics have no whole-face loadings; fit them with face_rank > 0"
+            )
+        self.statistics = statistics
+        self.covariance = covariance
+        self.estimator = estimator
+
+    def condition(
+        self,
+        images: Tensor,
+        source_lights: Tensor | None = None,
+        estimator: LightEstimator | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+        mask: Tensor | None = None,
+        register: bool = False,
+    ) -> Posterior:
+        """The expensive half, once: what is known of each person after seeing the images.
+
+        Args:
+            images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics'
+                size.
+            source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes
+                its image out of the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown,
+                and are estimated and integrated over.
+            estimator: finds unknown lights; default: the module's own.
+            draws: samples of each unknown light (Algorithm 2).
+            generator: makes the samples another set; by default they are the same at every call.
+            mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity.
+                None: everywhere.
+            register: find where each face lies beside the model's, and render it there; for statistics of real, aligned
+                faces (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
+
+        Raises:
+            ValueError: shapes or values out of range.
+            RuntimeError: a light is unknown and there is no estimator.
+        """
+        images = self._checked(images)
+        if source_lights is None:
+            source_lights = torch.full((*images.shape[:2], 3), float("nan"))
+        lights = source_lights.to(images)
+        if lights.dim() == 2:
+            lights = lights.expand(len(images), -1, -1)
+        hypotheses = lights if lights.dim() == 4 else lights[:, None]
+        if hypotheses.dim() != 4 or (len(hypotheses), *hypotheses.shape[2:]) != (*images.shape[:2], 3):
+            raise ValueError(
+                f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
+                f" got {tuple(source_lights.shape)}"
+            )
+        unknown = hypotheses.isnan().any(-1).any(1)  # (B, K)
+        if unknown.any():
+            finder = estimator or self.estimator
+            if finder is None:
+                raise RuntimeError(
+                    "source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`"
+                )
+            if draws < 1:
+                raise ValueError(f"draws: expected at least 1, got {draws}")
+            drawn = finder.sample(images, draws, generator, mask=mask)
+            hypotheses = torch.where(
+                unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses
+            )
+        deformations = None
+        if register:
+            found = [
+                self._registration(person, tried.mean(0), None if mask is None else mask[index])
+                for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
+            ]
+            images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
+            mask = (
+                None
+                if mask is None
+                else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
+            )
+            deformations = torch.stack(found)
+        people = [
+            PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
+            for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
+        ]
+        return Posterior(people, self.statistics.size, deformations)
+
+    def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
+        """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""
+        seen = lights.square().sum(-1) > 0
+        if not seen.any():
+            return images.new_zeros(6)
+        images, lights = images[seen], unit_lights(lights[seen])
+        size = self.statistics.size
+        theta = find_deformation(images, prior_mean(self.statistics, lights).unflatten(-1, size), weight=mask)
+        if self.covariance == "pixel":
+            return theta
+        person = PersonPosterior(self.statistics, deform(images, theta), lights[None], "face", mask)
+        return find_deformation(images, person.explained().unflatten(-1, size), theta, mask)
+
+    def forward(
+        self,
+        images: Tensor,
+        target_lights: Tensor,
+        source_lights: Tensor | None = None,
+        method: Method = "expected",
+        estimator: LightEstimator | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+    ) -> Relit:
+        """Relight ``images (B, K, H, W)`` to ``target_lights (Q, 3)`` or ``(B, Q, 3)``: :meth:`condition`, then render.
+
+        Args:
+            images, source_lights, estimator, draws, generator: see :meth:`condition`.
+            target_lights: unit vectors.
+            method: "expected", the mean image (Algorithm 2; with known lights 3.17); "map", the most probable grey
+                levels (Algorithm 1); "mle", n fixed and unknown (3.19, 3.20), for three or more known lights that are
+                not in one plane.
+
+        Returns:
+            :class:`Relit` with ``mean`` and ``variance`` ``(B, Q, H, W)`` in the images' dtype; with "map", ``mean``
+            holds the mode.
+        """
+        if method not in RELIGHTING_METHODS:
+            raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
+        if method == "mle":
+            mean, variance = self._fixed_normal(self._checked(images), target_lights, source_lights)
+        else:
+            posterior = self.condition(images, source_lights, estimator, draws, generator)
+            mean = posterior.mean(target_lights) if method == "expected" else posterior.mode(target_lights)
+            variance = posterior.variance(target_lights)
+        return Relit(mean.to(images), variance.to(images))
+
+    def _fixed_normal(self, images: Tensor, targets: Tensor, lights: Tensor | None) -> Relit:
+        """The special case of 3.5.1, person by person."""
+        if lights is None or bool(lights.isnan().any()):
+            raise ValueError(
+                "method='mle': expected all source lights to be known; give `source_lights` or use method='expected'"
+            )
+        lights, targets = lights.to(images), targets.to(images)
+        people = [
+            MaximumLikelihood(self.statistics, person, lights if lights.dim() == 2 else lights[index]).relight(
+                targets if targets.dim() == 2 else targets[index]
+            )
+            for index, person in enumerate(images)
+        ]
+        return Relit(torch.stack([p.mean for p in people]), torch.stack([p.variance for p in people]))
+
+    def _checked(self, images: Tensor) -> Tensor:
+        height, width = self.statistics.size
+        if images.dim() != 4 or tuple(images.shape[2:]) != (height, width):
+            raise ValueError(
+                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)};"
+                " align photos with facerelight.geometry.alignment first"
+            )
+        if not images.is_floating_point():
+            raise ValueError(
+                f"images: expected floating linear radiance in 0..1, got {images.dtype};"
+                " divide by 255 and decode sRGB first"
+            )
+        if not torch.isfinite(images).all():
+            raise ValueError("images: expected finite radiance, got NaN or infinity")
+        if images.numel() and float(images.abs().max()) > 20:
+            raise ValueError(
+                f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images.max()):g};"
+                " divide by 255 or 65535?"
+            )
+        return images.to(self.statistics.n_mean)
+
+    def save_pretrained(self, folder: str | Path, compress: float = False) -> None:
+        """Write ``statistics.safetensors`` and, where there is a kernel estimator, ``estimator.safetensors`` into
+        ``folder``.
+
+        A likelihood estimator is made from the statistics and needs no file.
+
+        Args:
+            folder: made where it does not exist.
+            compress: True makes the files about twenty times smaller and relit faces a quarter of a grey level
+                different, see :mod:`facerelight.model.compression`; 2.0 rounds twice as coarsely, and so on.
+        """
+        from safetensors.torch import save_file
+
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        if isinstance(self.estimator, KernelIlluminationEstimator):
+            tensors = self.estimator.state_dict()
+            if compress:
+                tensors = compress_estimator({k: v.cpu() for k, v in tensors.items()}, compress)
+            partial = folder / "estimator.safetensors.part"
+            save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
+            partial.replace(folder / "estimator.safetensors")
+        self.statistics.save(folder / "statistics.safetensors", compress)
+
+    @classmethod
+    def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
+        """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have
+        loadings."""
+        from safetensors import SafetensorError
+        from safetensors.torch import load_file
+
+        folder = Path(folder)
+        statistics = FaceStatistics.load(folder / "statistics.safetensors")
+        path = folder / "estimator.safetensors"
+        estimator = None
+        if path.exists():
+            try:
+                estimator = KernelIlluminationEstimator(**decompress_estimator(load_file(path)))
+            except (OSError, SafetensorError, TypeError, ValueError) as error:
+                raise ValueError(
+                    f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
+                ) from error
+        return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator)

@@ -1,0 +1,88 @@
+"""What an estimator of light is: it tells where the light of an image is and how unsure it is of that; the rest is
+shared.
+
+To add one, subclass :class:`LightEstimator` and implement :meth:`~LightEstimator.locate`; where its error is Gaussian,
+return a :class:`GaussianBelief`. It then serves as ``estimator=`` of a relighter.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from facerelight.numerics.sampling import quasi_normal
+
+__all__ = ["GaussianBelief", "LightBelief", "LightEstimate", "LightEstimator"]
+
+
+class LightEstimate(NamedTuple):
+    """``direction (B, K, 3)``: unit vectors towards the light, the bias already taken off; zero for an image without
+    any light."""
+
+    direction: Tensor
+
+
+class LightBelief(Protocol):
+    """A distribution over the lights of ``(B, K)`` images."""
+
+    @property
+    def direction(self) -> Tensor:
+        """Its mean direction, ``(B, K, 3)`` unit vectors; zero for an image without any light."""
+        ...
+
+    def draw(self, count: int, generator: torch.Generator | None, independent: bool) -> Tensor:
+        """``count`` lights of any length, ``(B, count, K, 3)``: quasi-random, or ``independent`` draws."""
+        ...
+
+
+class GaussianBelief(NamedTuple):
+    """Normal about ``direction (B, K, 3)`` with covariance ``L L^T``, ``error_factor (3, 3)`` being L."""
+
+    direction: Tensor
+    error_factor: Tensor
+
+    def draw(self, count: int, generator: torch.Generator | None, independent: bool) -> Tensor:
+        """See :meth:`LightBelief.draw`; everybody gets the same deviations."""
+        inputs = self.direction.shape[1]
+        noise = quasi_normal(count, 3 * inputs, generator, independent).reshape(count, inputs, 3).to(self.direction)
+        return self.direction[:, None] + noise @ self.error_factor.T.to(self.direction)  # (B, count, K, 3)
+
+
+class LightEstimator(nn.Module):
+    """Finds the light of images; subclasses implement :meth:`locate`."""
+
+    def locate(self, images: Tensor, mask: Tensor | None) -> LightBelief:
+        """What is known of the light of each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show
+        the face, None: everywhere they do."""
+        raise NotImplementedError(f"{type(self).__name__}: expected a method locate(images, mask)")
+
+    def forward(self, images: Tensor, mask: Tensor | None = None) -> LightEstimate:
+        """Estimate the light of each of ``images (B, K, H, W)``; ``mask (B, H, W)`` is 0 where they do not show the
+        face."""
+        return LightEstimate(self._located(images, mask).direction.to(images))
+
+    def sample(
+        self,
+        images: Tensor,
+        count: int,
+        generator: torch.Generator | None = None,
+        independent: bool = False,
+        mask: Tensor | None = None,
+    ) -> Tensor:
+        """Draw ``count`` lights an image from what :meth:`locate` believes, put on the sphere (4.3);
+        ``(B, count, K, 3)``.
+
+        Quasi-random by default; ``independent=True`` draws as the thesis does. The same ``generator`` state gives the
+        same lights. An image without any light has zero ones.
+        """
+        belief = self._located(images, mask)
+        drawn = nn.functional.normalize(belief.draw(count, generator, independent), dim=-1)  # (B, count, K, 3)
+        lit = belief.direction[:, None].square().sum(-1, keepdim=True) > 0  # (B, 1, K, 1)
+        return (drawn * lit).to(images)
+
+    def _located(self, images: Tensor, mask: Tensor | None) -> LightBelief:
+        if images.dim() != 4:
+            raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
+        return self.locate(images, mask)

@@ -1,0 +1,33 @@
+"""Amounts of many lights, for photographs that no single lamp made."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+__all__ = ["fit_soft_light"]
+
+
+def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int = 300) -> Tensor:
+    """How much each of J lights contributes to a photo, for photos that no single lamp made: non-negative least
+    squares.
+
+    Light adds up, so a photo under any distant lights is about a non-negative mixture of the average face's images
+    under single lights.
+
+    Args:
+        mean_images: ``(J, H, W)`` of the average face under each light.
+        image: ``(H, W)`` radiance.
+        mask: ``(H, W)``, 0 where the image does not show the face.
+        steps: multiplicative updates (Lee and Seung 2000), each of which lowers the error.
+
+    Returns:
+        ``(J,)`` non-negative amounts; all zero for a black image.
+    """
+    basis, weight = mean_images.clamp_min(0).flatten(1).double(), mask.flatten().double()
+    gram = (basis * weight) @ basis.T
+    target = (basis * weight) @ image.flatten().clamp_min(0).double()
+    amounts = torch.full_like(target, 1.0) * target.sum() / gram.sum().clamp_min(1e-30)
+    for _ in range(steps):
+        amounts = amounts * target / (gram @ amounts).clamp_min(1e-30)
+    return amounts.to(image)

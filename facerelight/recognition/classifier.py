@@ -1,0 +1,183 @@
+"""What all classifiers over exemplars share: modules with learned buffers in scikit-learn's manner, and their sum."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from typing import Literal, Self
+
+import torch
+from torch import Tensor, nn
+
+Reject = float | Literal["fit"] | None
+
+__all__ = ["Classifier", "Reject", "SumClassifier"]
+
+
+class Classifier(nn.Module):
+    """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``,
+    rejection of strangers.
+
+    Args:
+        normalizer: photometric normalisation of exemplars and probes alike.
+        reject: least score that is not a stranger; "fit": :meth:`fit` finds it, where held-out exemplars are turned
+            away as often as other people's are let in.
+        shift: a probe may lie off by so many pixels to every side: it is compared at all of them, and its best score
+            for each person counts.
+    """
+
+    def __init__(self, normalizer: nn.Module | None = None, reject: Reject = None, shift: int = 0) -> None:
+        super().__init__()
+        if shift < 0:
+            raise ValueError(f"shift: expected at least 0 pixels, got {shift}")
+        if isinstance(reject, str) and reject != "fit":
+            raise ValueError(f"reject: expected a score, 'fit' or None, got {reject!r}")
+        self.normalizer = normalizer or nn.Identity()
+        self.reject, self.shift = reject, shift
+        self.classes_: list[Hashable] | None = None
+        self.threshold_: float | None = None if reject == "fit" else reject
+
+    def fit(self, exemplars: Tensor, labels: Sequence[Hashable]) -> Self:
+        """Learn from ``exemplars (M, H, W)`` with one label each; fitting again starts afresh."""
+        rows, index = self._prepare(exemplars, labels)
+        if self.reject == "fit":
+            self.threshold_ = self._equal_error_threshold(rows, index)
+        self._learn(rows, index)
+        return self
+
+    def _equal_error_threshold(self, rows: Tensor, index: Tensor) -> float:
+        """Learn from every other exemplar of each person; the rest, and their best scores for other people, say where
+        strangers begin."""
+        place = nn.functional.one_hot(index).cumsum(0).gather(1, index[:, None])[:, 0]  # 1, 2, ... within each person
+        held_out = place % 2 == 0
+        if int(index.bincount().min()) < 4 or int(index.max()) < 1:
+            raise ValueError(
+                "reject='fit': expected 4 exemplars or more of each of 2 people or more;"
+                " give a score, or call calibrate()"
+            )
+        self._learn(rows[~held_out], index[~held_out])
+        scores, own = self._scores(rows[held_out]), index[held_out][:, None]
+        genuine = scores.gather(1, own)[:, 0]
+        others = scores.scatter(1, own, -torch.inf).amax(1)
+        values = torch.cat((genuine, others)).sort().values
+        between = (values[1:] + values[:-1]) / 2
+        gap = ((genuine[:, None] < between).float().mean(0) - (others[:, None] >= between).float().mean(0)).abs()
+        return float(between[gap == gap.min()].median())
+
+    def _prepare(self, exemplars: Tensor, labels: Sequence[Hashable]) -> tuple[Tensor, Tensor]:
+        if exemplars.dim() != 3 or len(exemplars) == 0:
+            raise ValueError(f"exemplars: expected (M, H, W) with M >= 1, got {tuple(exemplars.shape)}")
+        if len(labels) != len(exemplars):
+            raise ValueError(f"labels: expected one for each of {len(exemplars)} exemplars, got {len(labels)}")
+        if not torch.isfinite(exemplars).all():
+            raise ValueError("exemplars: expected finite values, got NaN or infinity")
+        self.classes_ = sorted(set(labels), key=str)
+        place = {label: i for i, label in enumerate(self.classes_)}
+        return self._rows(exemplars), torch.tensor([place[label] for label in labels])
+
+    def _rows(self, images: Tensor) -> Tensor:
+        """Normalised images as rows."""
+        return self._flatten(self.normalizer(images.float()))
+
+    def _flatten(self, images: Tensor) -> Tensor:
+        return images.flatten(1)
+
+    def _learn(self, rows: Tensor, index: Tensor) -> None:
+        raise TypeError(f"{type(self).__name__} cannot be fitted")
+
+    def _scores(self, rows: Tensor) -> Tensor:
+        raise TypeError(f"{type(self).__name__} cannot score")
+
+    def decision_function(self, images: Tensor) -> Tensor:
+        """Scores ``(M, C)`` of images ``(M, H, W)`` for each of ``classes_``; the highest wins."""
+        if self.classes_ is None:
+            raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
+        if images.dim() != 3 or not torch.isfinite(images).all():
+            raise ValueError(f"images: expected finite (M, H, W), got {tuple(images.shape)}")
+        return self.compare(self.views(images))
+
+    def views(self, images: Tensor) -> Iterator[Tensor]:
+        """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend
+        on who is enrolled."""
+        steps = range(-self.shift, self.shift + 1)
+        return (self.normalizer(_moved(images.float(), down, right)) for down in steps for right in steps)
+
+    def compare(self, views: Iterable[Tensor]) -> Tensor:
+        """Scores ``(M, C)`` of what :meth:`views` gave; classifiers with the same normaliser and shift can share it."""
+        return functools.reduce(torch.maximum, (self._scores(self._flatten(view)) for view in views))
+
+    def predict(self, images: Tensor) -> list[Hashable | None]:
+        """The label of each image; None where the best score lies below ``threshold_``."""
+        scores = self.decision_function(images)
+        assert self.classes_ is not None
+        best = scores.max(1)
+        known = best.values >= (-torch.inf if self.threshold_ is None else self.threshold_)
+        return [self.classes_[i] if ok else None for i, ok in zip(best.indices.tolist(), known.tolist(), strict=True)]
+
+    def score(self, images: Tensor, labels: Sequence[Hashable]) -> float:
+        """Rank-1 accuracy."""
+        right = [p == label for p, label in zip(self.predict(images), labels, strict=True)]
+        return sum(right) / max(len(right), 1)
+
+    def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
+        """Set ``threshold_`` so that this share of ``images``, new ones of enrolled people, is turned away."""
+        best = self.decision_function(images).max(1).values
+        self.threshold_ = float(best.quantile(false_rejections))
+        return self
+
+
+def _moved(images: Tensor, down: int, right: int) -> Tensor:
+    """``images (M, H, W)`` moved by whole pixels, their borders repeated."""
+    if down == right == 0:
+        return images
+    height, width = images.shape[1:]
+    rows = (torch.arange(height) - down).clamp(0, height - 1)
+    columns = (torch.arange(width) - right).clamp(0, width - 1)
+    return images[:, rows][:, :, columns]
+
+
+class SumClassifier(Classifier):
+    """The sum of the scores of fitted classifiers over the same people (the sum rule of Kittler et al. 1998).
+
+    A photograph is the one exemplar that is certainly right, and synthesised exemplars are the ones that know other
+    lights: the sum of a nearest neighbour over photographs and individual subspaces over exemplars is better than
+    either where the statistics are rendered.
+
+    Args:
+        classifiers: fitted; their own normalisation and shifts apply.
+        weights: of their scores; default: 1 each.
+        reject: least score that is not a stranger.
+    """
+
+    def __init__(
+        self, classifiers: Sequence[Classifier], weights: Sequence[float] | None = None, reject: float | None = None
+    ) -> None:
+        super().__init__(reject=reject)
+        if not classifiers or any(c.classes_ is None or c.classes_ != classifiers[0].classes_ for c in classifiers):
+            raise ValueError(
+                "classifiers: expected one or more, fitted to the same people; fit each with the same labels first"
+            )
+        if weights is not None and len(weights) != len(classifiers):
+            raise ValueError(f"weights: expected one for each of {len(classifiers)} classifiers, got {len(weights)}")
+        self.classifiers = nn.ModuleList(classifiers)
+        self.weights = list(weights or [1.0] * len(classifiers))
+        self.classes_ = classifiers[0].classes_
+
+    def decision_function(self, images: Tensor) -> Tensor:
+        """The weighted sum of the classifiers' scores, ``(M, C)``."""
+        scores = [weight * self._member(i).decision_function(images) for i, weight in enumerate(self.weights)]
+        return torch.stack(scores).sum(0)
+
+    def views(self, images: Tensor) -> Iterator[Tensor]:
+        """The first classifier's."""
+        return self._member(0).views(images)
+
+    def compare(self, views: Iterable[Tensor]) -> Tensor:
+        """For classifiers that all have the first one's normaliser and shift."""
+        shared = list(views)
+        return torch.stack([weight * self._member(i).compare(shared) for i, weight in enumerate(self.weights)]).sum(0)
+
+    def _member(self, index: int) -> Classifier:
+        member = self.classifiers[index]
+        assert isinstance(member, Classifier)
+        return member

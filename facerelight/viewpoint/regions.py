@@ -1,0 +1,178 @@
+"""Several pixels at a time (5.5): which go together, and relighting them by one joint Gaussian a group (5.1, 5.2,
+5.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from facerelight.numerics.gaussian import condition_gaussian, positive_variance
+from facerelight.numerics.shrinkage import Shrinkage, shrunk_covariance
+from facerelight.viewpoint.views import ViewSource
+
+__all__ = [
+    "GroupRelighter",
+    "GroupRelit",
+    "Region",
+    "correlation_table",
+    "group_by_correlation",
+    "make_regions",
+    "random_groups",
+]
+
+
+class Region(NamedTuple):
+    """T groups of one size: the pixels rendered together, ``outputs (T, r_out)``, and those they are rendered from,
+    ``inputs (T, r_in)``."""
+
+    outputs: Tensor
+    inputs: Tensor
+
+
+class GroupRelit(NamedTuple):
+    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group: what is left
+    unknown (5.5.1)."""
+
+    mean: Tensor
+    variance: Tensor
+    log_det: Tensor
+
+
+def correlation_table(samples: Tensor) -> Tensor:
+    """Absolute correlations ``(P, P)`` between the pixels of samples ``(S, P)``, the lookup table of Algorithm 3; 4 P^2
+    bytes."""
+    unit = _unit(samples)
+    return (unit.T @ unit).abs()
+
+
+def group_by_correlation(samples: Tensor, size: int, table: Tensor | None = None) -> list[Tensor]:
+    """Algorithm 3: the first pixel left and the ``size - 1`` pixels most correlated with it, again and again.
+
+    Args:
+        samples: bootstrap images, one a row, ``(S, P)``.
+        size: pixels a group; the last group may be smaller.
+        table: of :func:`correlation_table`; None: each row when it is needed. The groups are the same.
+
+    Returns:
+        Pixel indices of each group; of equally correlated pixels (to 1e-5) the first comes first.
+    """
+    if size < 1:
+        raise ValueError(f"size: expected at least 1 pixel a group, got {size}")
+    unit = _unit(samples)
+    left = torch.ones(samples.shape[1], dtype=torch.bool)
+    groups = []
+    while left.any():
+        current = int(left.int().argmax())
+        row = (unit.T @ unit[:, current]).abs() if table is None else table[current].clone()
+        row = (row * 1e5).round()
+        row[current] = torch.inf
+        row[~left] = -1
+        chosen = row.argsort(descending=True, stable=True)[: min(size, int(left.sum()))]
+        left[chosen] = False
+        groups.append(chosen)
+    return groups
+
+
+def random_groups(pixels: int, size: int, generator: torch.Generator | None = None) -> list[Tensor]:
+    """A random partition into groups of ``size`` pixels, the last one maybe smaller (the first heuristic of 5.5.1)."""
+    return list(torch.randperm(pixels, generator=generator).split(size))
+
+
+def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs: int | None = None) -> list[Region]:
+    """Groups of one size stacked, each with the pixels that it is rendered from.
+
+    Args:
+        groups: a partition of the pixels.
+        samples: bootstrap images ``(S, P)``, wanted where ``inputs`` is given.
+        inputs: ``r_in``, at least the group's size: the group itself and the pixels most correlated with its first.
+            None: ``r_in = r_out``.
+    """
+    unit = None if samples is None else _unit(samples)
+    sized: dict[int, list[tuple[Tensor, Tensor]]] = {}
+    for group in groups:
+        source = group
+        if inputs is not None and inputs != len(group):
+            if unit is None or inputs < len(group):
+                raise ValueError(
+                    f"inputs: expected at least the group's {len(group)} pixels,"
+                    f" and samples to choose more, got {inputs}"
+                )
+            row = (unit.T @ unit[:, int(group[0])]).abs()
+            row[group] = -1
+            source = torch.cat((group, row.argsort(descending=True, stable=True)[: inputs - len(group)]))
+        sized.setdefault(len(group), []).append((group, source))
+    return [Region(*(torch.stack(parts) for parts in zip(*members, strict=True))) for members in sized.values()]
+
+
+class GroupRelighter:
+    """Conditional mean and variance of groups of pixels given groups of pixels, for any K, r_in, r_out and any kind of
+    view: Table 5.1.
+
+    Args:
+        source: what the bootstrap's people look like under views.
+        regions: of :func:`make_regions`; together they cover every pixel once.
+        shrinkage: of the joint covariance of a group: "sample" as the thesis, which turns to noise from a few pixels
+            on; "block" towards single pixels, which keeps Consistency; "ledoit_wolf" and "oas" towards the identity.
+    """
+
+    def __init__(self, source: ViewSource, regions: Sequence[Region], shrinkage: Shrinkage = "block") -> None:
+        self.source, self.regions, self.shrinkage = source, regions, shrinkage
+
+    def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
+        """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``."""
+        size = self.source.size
+        if (
+            images.dim() != 4
+            or tuple(images.shape[2:]) != size
+            or len(source_views) != images.shape[1]
+            or not images.shape[1]
+        ):
+            raise ValueError(
+                f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views,"
+                f" got {tuple(images.shape)} and {len(source_views)} views"
+            )
+        known = self.source.fields([target_view, *source_views])
+        residual = (images.flatten(2) - known.mean[1:]).double()  # (B, K, P)
+        mean = known.mean[0].double().repeat(len(images), 1)
+        variance = torch.zeros_like(mean[0])
+        log_det = []
+        for region in self.regions:
+            for outputs, inputs in zip(region.outputs.split(256), region.inputs.split(256), strict=True):
+                covariance = self._covariance(known.fields, known.local, outputs, inputs)
+                r = outputs.shape[1]
+                y = residual[:, :, inputs].transpose(1, 2).flatten(2)  # (B, T, K r_in), view by view
+                zero = torch.zeros_like(y[0])
+                given = condition_gaussian(
+                    zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y
+                )
+                mean[:, outputs] += given.mean
+                before = covariance[:, :r, :r].diagonal(dim1=1, dim2=2)
+                variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2), before)
+                log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1))
+        spread = variance.to(images).view(size).expand(len(images), -1, -1)
+        return GroupRelit(mean.to(images).unflatten(1, size), spread, torch.cat(log_det))
+
+    def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
+        """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""
+        views, people = fields.shape[1:3]
+        pixel = torch.cat((outputs, inputs.repeat(1, views - 1)), 1)  # (T, D)
+        view = torch.cat(
+            (torch.zeros(outputs.shape[1]), torch.arange(1, views).repeat_interleave(inputs.shape[1]))
+        ).long()
+        parts = (part[view[None].expand_as(pixel), :, pixel].mT.double() for part in fields)  # (T, N, D) each
+        covariance = torch.stack([shrunk_covariance(part, self.shrinkage, pixel) for part in parts]).sum(0) * (
+            people / (people - 1)
+        )
+        same = pixel[:, :, None] == pixel[:, None]
+        return covariance + torch.where(same, local[view[:, None], view[None], pixel[:, :, None]].double(), 0.0)
+
+
+def _unit(samples: Tensor) -> Tensor:
+    """Columns centred and of unit length; zero where a pixel never varies."""
+    if samples.dim() != 2 or len(samples) < 2:
+        raise ValueError(f"samples: expected two or more images as rows (S, P), got {tuple(samples.shape)}")
+    centred = samples - samples.mean(0)
+    return centred / centred.norm(dim=0).clamp_min(1e-12)

@@ -1,0 +1,91 @@
+"""What the bootstrap's people look like under given viewing conditions, person by person: the common ground of groups
+and of poses.
+
+A *view* is whatever an image was taken under: a light, for :class:`LightViews`; a pose, a light and an expression for
+:class:`~facerelight.viewpoint.pose.BootstrapViews`. Covariances between any pixels under any views follow from the
+people's fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from facerelight.model.statistics import FaceStatistics
+from facerelight.model.subjects import fill_missing, fill_operators, gather_grams
+
+__all__ = ["LightViews", "ViewFields", "ViewSource"]
+
+
+class ViewFields(NamedTuple):
+    """N people under V views at P pixels.
+
+    ``mean (V, P)``; ``fields (M, V, N, P)``, each person's difference from it as the sum of M independent parts (n and
+    v); ``local (V, V, P)``, covariance that views share at one pixel over and above the fields' own.
+    ``Cov = sum_m fields_m^T fields_m / (N - 1) + [same pixel] local``.
+    """
+
+    mean: Tensor
+    fields: Tensor
+    local: Tensor
+
+
+class ViewSource(Protocol):
+    """Something that knows what people look like under views; ``size`` is the images' height and width."""
+
+    @property
+    def size(self) -> tuple[int, int]: ...
+
+    def fields(self, views: Sequence[Any]) -> ViewFields: ...
+
+
+class LightViews:
+    """Views that differ in light alone: n and v of every bootstrap person kept, so that pixels can be modelled several
+    at a time.
+
+    For one pixel at a time this is the model of :class:`StatisticalRelighter` with a correlation factor of full rank.
+
+    Args:
+        statistics: fitted in this process, so that its people's images are still at hand.
+    """
+
+    def __init__(self, statistics: FaceStatistics) -> None:
+        if statistics.store is None or statistics.pixel is None:
+            raise ValueError("statistics: expected freshly fitted ones that keep their images; loaded ones do not")
+        self.statistics = statistics
+        height, width = statistics.size
+        grams = gather_grams(statistics.store, statistics.lights, statistics.options.block)
+        images = fill_missing(statistics.store.block(0, height * width), fill_operators(grams))
+        n = torch.linalg.pinv(statistics.lights.double()).float() @ images
+        v = images - statistics.lights @ n
+        self._n, deviation = n - n.mean(0), v - v.mean(0)
+        length = deviation.square().sum(0).sqrt()  # (J, P)
+        dof, floor = len(n) - 1, statistics.options.floor
+        self._std = (length / dof**0.5).clamp_min(floor)
+        self._unit = torch.where(
+            length > floor * dof**0.5, deviation / length.clamp_min(1e-30), torch.zeros_like(deviation)
+        )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the images."""
+        return self.statistics.size
+
+    def fields(self, views: Sequence[Tensor] | Tensor) -> ViewFields:
+        """Fields under lights ``(V, 3)``: ``n^T s`` and ``sigma(s) w(s).(v / sigma)`` (3.13, 4.5, 4.6)."""
+        lights = torch.stack([torch.as_tensor(view, dtype=torch.float32) for view in views])
+        weights = self.statistics.weights(lights)  # (V, J)
+        std = (weights @ self._std.square()).sqrt()  # (V, P)
+        mixed = torch.einsum("vj,njp->vnp", weights, self._unit)
+        of_n = torch.einsum("vc,ncp->vnp", lights, self._n)
+        of_v = (len(self._n) - 1) ** 0.5 * std[:, None] * mixed
+        unique = 1 - self._unit.square().sum(0)  # (J, P): 1 where a pixel never varies, else 0
+        own = mixed.square().sum(1) + weights.square() @ unique
+        narrow = std * (1 - own).clamp_min(0).sqrt()
+        local = torch.einsum("aj,bj,jp,ap,bp->abp", weights, weights, unique, std, std)
+        local = local + self.statistics.nugget(lights, lights)[..., None] * narrow[:, None] * narrow[None]
+        mean = lights @ self.statistics.n_mean.flatten(1) + weights @ self.statistics.v_mean.flatten(1)
+        return ViewFields(mean, torch.stack((of_n, of_v)), local)

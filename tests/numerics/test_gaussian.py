@@ -1,0 +1,71 @@
+import warnings
+
+import pytest
+import torch
+
+from facerelight.numerics.gaussian import (
+    NotPositiveDefiniteError,
+    NumericalWarning,
+    condition_gaussian,
+    correlation_factor,
+    safe_cholesky,
+)
+from facerelight.numerics.kernels import kernel_weights, neighbour_widths
+
+
+def test_jitter_goes_to_the_failing_member_alone() -> None:
+    good, singular = torch.eye(3), torch.ones(3, 3)
+    with pytest.warns(NumericalWarning, match="1 of 2"):
+        factor = safe_cholesky(torch.stack((good, singular)))
+    assert torch.equal(factor[0], torch.eye(3, dtype=torch.float64))
+    assert torch.allclose(factor[1] @ factor[1].T, singular.double(), atol=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        safe_cholesky(good)
+
+
+def test_refuses_what_is_no_covariance() -> None:
+    with pytest.raises(NotPositiveDefiniteError, match="semidefinite"):
+        safe_cholesky(torch.diag(torch.tensor([1.0, -1.0])))
+    with pytest.raises(NotPositiveDefiniteError, match="NaN"):
+        safe_cholesky(torch.full((2, 2), torch.nan))
+
+
+def test_conditioning_against_samples() -> None:
+    """Regression on a million samples of the joint Gaussian gives the same conditional."""
+    generator = torch.Generator().manual_seed(0)
+    root = torch.randn(4, 4, generator=generator, dtype=torch.float64)
+    joint = root @ root.T
+    samples = torch.randn(400_000, 4, generator=generator, dtype=torch.float64) @ root.T
+    y = torch.tensor([0.3, -0.2], dtype=torch.float64)
+    mean = torch.zeros(2, dtype=torch.float64)
+    out = condition_gaussian(mean, mean, joint[:2, :2], joint[:2, 2:], joint[2:, 2:], y)
+    slope = torch.linalg.lstsq(samples[:, 2:], samples[:, :2]).solution
+    assert torch.allclose(out.mean, slope.T @ y, atol=0.02)
+    left = samples[:, :2] - samples[:, 2:] @ slope
+    assert torch.allclose(out.covariance, left.T @ left / len(left), rtol=0.05, atol=0.02)
+
+
+def test_correlation_factor_keeps_a_unit_diagonal() -> None:
+    samples = torch.randn(5, 20, 8, generator=torch.Generator().manual_seed(0))
+    unit = samples / samples.norm(dim=1, keepdim=True)
+    full = correlation_factor(unit, 8)
+    assert torch.allclose(full @ full.mT, unit.mT @ unit, atol=1e-5)
+    for rank in (1, 3, 12):
+        factor = correlation_factor(unit, rank)
+        assert factor.shape == (5, 8, rank)
+        assert (factor.square().sum(-1) <= 1 + 1e-6).all()
+
+
+def test_kernel_weights_survive_underflow() -> None:
+    weights = kernel_weights(torch.tensor([[1e8, 1e8 + 1e4, 2e8]]), 0.01)
+    assert torch.allclose(weights, torch.tensor([[1.0, 0.0, 0.0]]))
+    assert torch.allclose(kernel_weights(torch.zeros(1, 4), 0.1), torch.full((1, 4), 0.25))
+
+
+def test_neighbour_widths() -> None:
+    points = torch.tensor([[0.0], [1.0], [3.0]])
+    assert neighbour_widths(torch.cdist(points, points), 1).tolist() == [1.0, 1.0, 2.0]
+    assert neighbour_widths(torch.zeros(1, 1), 3).item() == 1.0
+    with pytest.raises(ValueError, match="at least 1"):
+        neighbour_widths(torch.zeros(2, 2), 0)
