@@ -54,7 +54,7 @@ def shading() -> BustShading:
     height, normal = ball(*BUST.places())
     fine, fine_normal = ball(*FINE.places())
     ones = np.ones(BUST.size, np.float32)
-    return BustShading(Bust(normal, height, ones, ones, fine, fine_normal))
+    return BustShading(Bust(normal, height, ones, fine, fine_normal))
 
 
 @pytest.fixture(scope="module")

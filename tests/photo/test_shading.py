@@ -112,7 +112,7 @@ def bust_of(surface) -> Bust:
     height, normal, inside = surface(*BUST.places())
     fine, fine_normal, _ = surface(*FINE.places())
     inside = inside.astype(np.float32)
-    return Bust(normal, height, inside, inside, fine, fine_normal)
+    return Bust(normal, height, inside, fine, fine_normal)
 
 
 def ball(x: np.ndarray, y: np.ndarray):

@@ -21,6 +21,7 @@ NETWORK_SIZE = (256, 256)
 NEAR, AWAY = (4.6, 3.6, 6.2), 0.8  # units to each side, above and below the eyes; over which what is farther takes over
 RADIUS = 0.10  # of the guided filter, in units
 TIGHT = (0.1, 0.95)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+COARSE = 40.0  # pixels a unit of the copy on which the ground is averaged
 GROUND = (0.5, 0.1)  # units around in which the ground behind a person is looked for, far and near
 THROUGH = 0.4  # units around in which the ground is looked at
 DIFFERS, VARIES = (
@@ -60,14 +61,16 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
 def ground_behind(scene: np.ndarray, cover: np.ndarray, unit: float) -> np.ndarray:
     """The radiance ``(h, w, 3)`` of what is behind a person: an average of the uncovered pixels around, from near where
     there are some (blur fusion, Forte 2021)."""
-    bare = np.clip(1 - 5 * cover, 0, 1)[..., None]
-    ground = np.zeros_like(scene)
+    scale = min(1.0, COARSE / unit)
+    small, hidden = (cv2.resize(map, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for map in (scene, cover))
+    bare = np.clip(1 - 5 * hidden, 0, 1)[..., None]
+    ground = np.zeros_like(small)
     for reach in GROUND:
-        weight = blur(bare, reach * unit).reshape(bare.shape)
-        near = blur(scene * bare, reach * unit) / np.maximum(weight, 1e-4)
+        weight = blur(bare, reach * unit * scale).reshape(bare.shape)
+        near = blur(small * bare, reach * unit * scale) / np.maximum(weight, 1e-4)
         share = np.clip(weight / 0.02, 0, 1)
         ground = share * near + (1 - share) * ground
-    return ground.astype(np.float32)
+    return cv2.resize(ground.astype(np.float32), cover.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.ndarray:

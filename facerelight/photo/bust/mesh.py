@@ -12,7 +12,7 @@ from facerelight.photo.bust.frame import Grid
 
 __all__ = ["Relief", "draw_mesh", "harmonic", "unit_vectors"]
 
-SIZES = (2, 4, 7, 12, 20, 60)  # pixels: a triangle is sampled as densely as its size class needs
+SIZES = (2, 3, 4, 5, 7, 9, 12, 16, 20, 60)  # pixels: a triangle is sampled as densely as its size class needs
 THIN = 0.02  # of a coarse pixel: so little that is known fixes it, and thin lines are not lost
 THICKNESS = 0.03  # units: samples that far below the highest belong to the same surface
 
@@ -58,7 +58,7 @@ def draw_mesh(
     corners = np.concatenate((flat, vertices[:, 2:], normals), 1).astype(np.float32)  # (V, 6)
     classes = np.minimum(np.searchsorted(SIZES, extent), len(SIZES) - 1)
     parts = [
-        np.matmul(_even_shares(size + size // 2 + 1), corners[kept[classes == k]]).reshape(-1, 6)
+        np.matmul(_even_shares(size + 1), corners[kept[classes == k]]).reshape(-1, 6)
         for k, size in enumerate(SIZES)
         if (classes == k).any()
     ]
@@ -80,7 +80,7 @@ def draw_mesh(
     return Relief(total[..., 0], unit_vectors(total[..., 1:]), (count > 0).reshape(height, width))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def _even_shares(n: int) -> np.ndarray:
     """Barycentric coordinates of ``n * n`` evenly spread samples of a triangle, ``(n * n, 3)`` float32."""
     first = [(i + 1 / 3, j + 1 / 3) for i in range(n) for j in range(n - i)]

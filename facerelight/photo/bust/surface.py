@@ -56,13 +56,12 @@ class MeanBust(NamedTuple):
 
 
 class Bust(NamedTuple):
-    """Surface of a person on :data:`BUST`: ``normal (H, W, 3)`` unit, ``height (H, W)``, ``inside (H, W)`` 0 to 1,
-    ``head (H, W)`` 0 to 1 where the mean bust is trusted; ``fine (h, w)``: heights of face and neck on :data:`FINE`."""
+    """Surface of a person on :data:`BUST`: ``normal (H, W, 3)`` unit, ``height (H, W)``, ``inside (H, W)`` 0 to 1; on
+    :data:`FINE`: ``fine (h, w)`` heights and ``fine_normal (h, w, 3)``, of face and neck the mean bust's own."""
 
     normal: np.ndarray
     height: np.ndarray
     inside: np.ndarray
-    head: np.ndarray
     fine: np.ndarray
     fine_normal: np.ndarray
 
@@ -162,7 +161,6 @@ def make_bust(
         smooth,
         height,
         person.astype(np.float32),
-        face.astype(np.float32),
         *_fine_surface(vertices, height, person, smooth, face),
     )
 
