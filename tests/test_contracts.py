@@ -246,7 +246,7 @@ def glow(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_effect_is_simulated_where_it_matters(heads: BootstrapDataset, name: str, azimuth: float) -> None:
     """Where its own test says that it can change nothing, forcing it changes nothing."""
     surface, material = heads.surface(0)
-    assert heads._renderer is not None
+    assert heads.renderer is not None
     light = light_from_angles(azimuth, 10.0)
     where = EFFECTS[name].where(Scene(surface, light, material))
     assert where.shape == surface.pixel.shape
@@ -255,17 +255,17 @@ def test_every_effect_is_simulated_where_it_matters(heads: BootstrapDataset, nam
     assert (name in plan.effects) == bool(where.any())
     forced = {key: plan.where.get(key) if key != name else torch.ones_like(where) for key in EFFECTS}
     forced_plan = EffectPlan({key: value for key, value in forced.items() if value is not None})
-    images = [shade(surface, light, material, asked, heads._renderer) for asked in (plan, forced_plan)]
+    images = [shade(surface, light, material, asked, heads.renderer) for asked in (plan, forced_plan)]
     assert torch.allclose(images[0], images[1], atol=1e-3)
 
 
 def test_an_effect_is_planned_shaded_and_reported(heads: BootstrapDataset, glow: None) -> None:
     surface, material = heads.surface(0)
-    assert heads._renderer is not None
+    assert heads.renderer is not None
     light = heads.lights[0]
     plan = plan_effects(surface, light, material)
     without = EffectPlan({key: value for key, value in plan.where.items() if key != "glow"})
-    lit, plain = (shade(surface, light, material, asked, heads._renderer) for asked in (plan, without))
+    lit, plain = (shade(surface, light, material, asked, heads.renderer) for asked in (plan, without))
     inside = torch.zeros(48 * 42, dtype=torch.bool)
     inside[surface.pixel] = True
     expected = 0.25 * inside.view(48, 42).float()

@@ -80,29 +80,33 @@ class BootstrapDataset(Dataset[RenderedHead]):
     def __len__(self) -> int:
         return self.count
 
+    @property
+    def renderer(self) -> MeshRenderer:
+        """This process's renderer, opened when it is first asked for."""
+        if self._renderer is None:
+            self._renderer = open_renderer(self.frame, self.supersample)
+        return self._renderer
+
     def look(self, index: int) -> Look:
         """Person ``index``'s paint."""
         return Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
 
     def surface(self, index: int) -> tuple[Surface, Material]:
         """Person ``index``, painted and seen by the camera, and their material."""
-        if self._renderer is None:
-            self._renderer = open_renderer(self.frame, self.supersample)
         look = self.look(index)
         upright = stand(self.source.head(index), np.random.default_rng((self.seed, index, 2)), self.domain)
         head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
-        return view_surface(self._renderer, head, look), look.material
+        return view_surface(self.renderer, head, look), look.material
 
     def __getitem__(self, index: int) -> RenderedHead:
         if not 0 <= index < self.count:
             raise IndexError(f"head {index} of {self.count}")
         surface, material = self.surface(index)
-        assert self._renderer is not None
         work: Counter[str] = Counter(geometry=1)
         images = []
         for light in self.lights:
             plan = plan_effects(surface, light, material, self.effects)
-            images.append(shade(surface, light, material, plan, self._renderer, work))
+            images.append(shade(surface, light, material, plan, self.renderer, work))
         stack = torch.stack(images)
         if self.supersample > 1:
             stack = torch.nn.functional.avg_pool2d(stack[:, None], self.supersample)[:, 0]

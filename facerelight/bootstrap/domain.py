@@ -10,7 +10,7 @@ __all__ = ["Domain", "Material"]
 
 @dataclass(frozen=True)
 class Domain:
-    """The scalar settings of the rendered world, the same for all heads; ``scripts/search_domain.py`` finds them.
+    """The scalar settings of the rendered world, the same for all heads; ``scripts/data/search_domain.py`` finds them.
 
     Args:
         tone_low, tone_high: range of the skin's albedo over people, uniform in its logarithm.

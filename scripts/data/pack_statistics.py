@@ -6,12 +6,12 @@ Only needed to rebuild the packed files that the package already carries, whenev
     python scripts/data/pack_statistics.py --statistics FOLDER    # already trained, not compressed
 """
 
-import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 from facerelight.config import DEFAULT_CONFIG, PACKAGED, default_statistics_folder
+from facerelight.evaluation.results import ScriptParser
 from facerelight.inference.relighter import StatisticalRelighter
 
 
@@ -26,7 +26,7 @@ def trained(folder: Path | None) -> Path:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--statistics", type=Path, default=None, help="trained with the default config")
     parser.add_argument("--output", type=Path, default=PACKAGED, help="folder (default: the package's own)")
     parser.add_argument("--coarseness", type=float, default=1.0, help="of the rounding (default: 1)")

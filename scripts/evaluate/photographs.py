@@ -6,8 +6,6 @@ With --truth FOLDER_OF_THE_SCAN, the step from cheek to ear is compared with tha
 lamp.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -19,6 +17,7 @@ import torch
 
 from facerelight.evaluation.photographs import MEASURES, photograph_measures
 from facerelight.evaluation.portrait import SOURCES, PortraitTruth
+from facerelight.evaluation.results import ScriptParser
 from facerelight.evaluation.scan import ScannedHead
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.sources import Lamp
@@ -130,7 +129,7 @@ def over(values: list[float], summary: object) -> float:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("folder", type=Path, help="of photographs")
     parser.add_argument("--statistics", type=Path, default=None, help="a trained folder; default: the packaged one")
     parser.add_argument("--truth", type=Path, default=None, help="folder with lps_head.npz and color.jpg")
@@ -138,7 +137,7 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=None, help="folder for the relit photographs")
     parser.add_argument("--sheet", type=Path, default=None, help="contact sheets: FILE-1, FILE-2 and so on")
     parser.add_argument("--only", default="", help="names of photographs, without suffix, several with commas")
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_results("json")
     args = parser.parse_args()
 
     torch.set_grad_enabled(False)
@@ -167,11 +166,8 @@ def main() -> int:
             print(f"{name:14s}" + " ".join(f"{values[measure]:9.3f}" for measure in MEASURES))
     beyond = {name: sum(step > truth[name] + 0.3 for step in columns[name]["step"]) for name in truth}
     print(f"found {len(found)} of {len(paths)}; truth's step {truth}; photographs over it by 0.3 stops: {beyond}")
-    if args.json:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        report = {"found": len(found), "of": len(paths), "truth_step": truth, "step_beyond_truth": beyond}
-        report |= {"medians": medians, "largest": largest, "photos": photos}
-        args.json.write_text(json.dumps(report, indent=1))
+    report = {"found": len(found), "of": len(paths), "truth_step": truth, "step_beyond_truth": beyond}
+    parser.save_report(args.json, report | {"medians": medians, "largest": largest, "photos": photos})
     if args.sheet:
         write_sheets(args.sheet, rows)
     return 0

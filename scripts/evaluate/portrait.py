@@ -1,19 +1,13 @@
 """Protocol portrait-A: whole heads relit in colour, against a ray-traced scan of several skin tones.
 
 python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --tone fair,deep --json portrait.json
-python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --methods all --csv scripts/results/portrait.csv
+python scripts/evaluate/portrait.py --data FOLDER_OF_THE_SCAN --methods all --csv
 
 A row a method: the package, and the package without one of its parts (``--methods all``), which says what each is
 worth. The scan is Lee Perry-Smith's (CC-BY 3.0): lps_head.npz (vertices, triangles, uv) and color.jpg.
 """
 
-import argparse
-import csv
-import datetime
-import json
-import os
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,6 +21,7 @@ import numpy as np
 import torch
 
 from facerelight.evaluation.portrait import MEASURES, Make, PortraitTruth, Render, mean_scores, run_portraits
+from facerelight.evaluation.results import ScriptParser, machine
 from facerelight.evaluation.scan import TONES, ScannedHead
 from facerelight.geometry.sources import Lamp
 from facerelight.inference.relighter import StatisticalRelighter
@@ -81,7 +76,7 @@ PARTS: dict[str, Part] = {
     "no deepening": Part([(ratio, "LEAK", 1e-6)]),
     "no bust edges": Part([(ratio, "EDGES", 0.0)]),
     "no crisp": Part([(ratio, "SOFT", 0.0)]),
-    "no cast shadows": Part([(BustShading, "_sees_all", lambda *_: True)]),
+    "no cast shadows": Part([(BustShading, "sees_all", lambda *_: True)]),
     "mean bust": Part([(photo_session, "fit_bust", _mean_bust)]),
     "no join": Part([(ratio, "LEVEL", 0.0), (ratio, "NEAR_RIM", 0.0)]),
     "face only": Part([(ratio, "BUST_DARKEST", 0.0), (ratio, "BUST_BRIGHTEST", 0.0)]),
@@ -158,37 +153,6 @@ def table(results: Mapping[str, Mapping[str, float]]) -> str:
     return "\n".join(f"{name:22s}" + " ".join(cells) for name, cells in rows)
 
 
-def machine() -> str:
-    """What the times were taken on."""
-    return f"{os.cpu_count()} cores, no GPU, threads used: {torch.get_num_threads()}"
-
-
-def commit() -> str:
-    """Of this checkout."""
-    said = subprocess.run(
-        ["git", "describe", "--always", "--dirty", "--abbrev=7"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-    )
-    return said.stdout.strip() or "unknown"
-
-
-def write_csv(path: Path, results: Mapping[str, Mapping[str, float]], options: Mapping[str, object], of: str) -> None:
-    """A row a method, and above them, behind ``#``, how they came about."""
-    columns = ("method", *MEASURES, "ms a light")
-    told = " ".join(f"--{name} {value}" for name, value in options.items())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        file.write(
-            f"# command: python scripts/evaluate/portrait.py --data SCAN {told}\n# date: {datetime.date.today()}\n"
-        )
-        file.write(f"# machine: {machine()}\n# commit: {of}\n")
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({"method": name, **means} for name, means in results.items())
-
-
 def sheet(images: dict[tuple[str, str], np.ndarray], tones: Sequence[str], columns: Sequence[str]) -> np.ndarray:
     """Photo, truth and methods side by side, for four cases; ``(H, W, 3)`` uint8."""
     rows = []
@@ -204,7 +168,7 @@ def sheet(images: dict[tuple[str, str], np.ndarray], tones: Sequence[str], colum
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder with lps_head.npz and color.jpg")
     parser.add_argument("--tone", default="fair,deep", help=f"of {', '.join(TONES)}: several with commas")
     parser.add_argument("--yaw", type=float, default=0.0, help="degrees by which the head turns")
@@ -213,14 +177,13 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, default=None, help="of ray-traced light; default: the user's")
     parser.add_argument("--output", type=Path, default=None, help="folder for pictures")
     parser.add_argument("--threads", type=int, default=2, help="default: 2")
-    parser.add_argument("--json", type=Path, default=None)
-    parser.add_argument("--csv", type=Path, default=None, help="a row a method")
+    parser.add_results("csv", "json")
     args = parser.parse_args()
 
     torch.set_grad_enabled(False)
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(args.threads)
-    started, of = time.perf_counter(), commit()
+    started = time.perf_counter()
     known, tones = registry(args.statistics), args.tone.split(",")
     names = list(known) if args.methods == "all" else args.methods.split(",")
     for wanted, among, option in ((names, known, "--methods"), (tones, TONES, "--tone")):
@@ -241,22 +204,18 @@ def main() -> int:
         results[name]["ms a light"] = round(1000 * statistics.median(taken), 1)
     print(table(results))
     print(f"machine: {machine()}")
-    if args.csv:
-        options = {name: getattr(args, name) for name in ("tone", "yaw", "methods", "threads")}
-        write_csv(args.csv, results, options, of)
-    if args.json:
-        report = {
-            "protocol": "portrait-A",
-            "tones": tones,
-            "yaw_deg": args.yaw,
-            "statistics": str(args.statistics or "default"),
-            "machine": machine(),
-            "results": results,
-            "cases": cases,
-            "seconds": round(time.perf_counter() - started, 1),
-        }
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(report, indent=1))
+    parser.save_rows(args.csv, [{"method": name, **means} for name, means in results.items()])
+    report = {
+        "protocol": "portrait-A",
+        "tones": tones,
+        "yaw_deg": args.yaw,
+        "statistics": str(args.statistics or "default"),
+        "machine": machine(),
+        "results": results,
+        "cases": cases,
+        "seconds": round(time.perf_counter() - started, 1),
+    }
+    parser.save_report(args.json, report)
     if args.output:
         args.output.mkdir(parents=True, exist_ok=True)
         for (case, method), image in images.items():

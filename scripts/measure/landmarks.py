@@ -8,7 +8,6 @@ degrees. With --canonical FILE.npz the mean positions of the 468 points and of t
 first, and written there: what facerelight/photo/networks/canonical_face.npz holds.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from facerelight.bootstrap.posture import place_in_frame, rotate
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import view_surface
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 from facerelight.photo.faces.face_mesh import fit_face_mesh
@@ -154,18 +154,17 @@ def measure_canonical(count: int) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--heads", type=int, default=200, help="how many heads are measured")
     parser.add_argument("--canonical", type=Path, help="measure the canonical face anew and write it to this .npz")
     parser.add_argument("--canonical-heads", type=int, default=80, help="how many heads it is measured on")
-    parser.add_argument("--json", type=Path, help="write the report to this file too")
+    parser.add_results("json")
     args = parser.parse_args()
     if args.canonical:
         np.savez_compressed(args.canonical, **measure_canonical(args.canonical_heads))
-    report = json.dumps(measure(args.heads), indent=2)
-    print(report)
-    if args.json:
-        args.json.write_text(report + "\n")
+    report = measure(args.heads)
+    print(json.dumps(report, indent=2))
+    parser.save_report(args.json, report)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import torch
 
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.sources import Lamp
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, load_relighter
@@ -219,12 +220,12 @@ def lines(report: dict[str, Any], goals: dict[str, float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--threads", type=int, default=2, help="default: 2")
     parser.add_argument("--repeats", type=int, default=7, help="of the portrait; fewer of what takes long (default: 7)")
     parser.add_argument("--parts", default="portrait,stages,megapixels,command", help="several with commas")
     parser.add_argument("--large", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     cv2.setNumThreads(args.threads)
@@ -249,9 +250,7 @@ def main() -> None:
         report["command"] = command(args.threads)
     report["load after"] = os.getloadavg()[0]
     print(lines(report, GOALS))
-    if args.json:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(report, indent=1))
+    parser.save_report(args.json, report)
 
 
 if __name__ == "__main__":

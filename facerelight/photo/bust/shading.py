@@ -89,7 +89,7 @@ class BustShading:
         """Irradiance of a white bust under a soft light ``(3,)`` of angular radius ``size``, ``(H, W)`` on
         :data:`BUST`."""
         facing = np.clip((self.bust.normal @ light.astype(np.float32) + WRAP) / (1 + WRAP), 0, None)
-        if self._sees_all(light):
+        if self.sees_all(light):
             return facing
         seen = visible_share(self._horizon(float(np.arctan2(light[1], light[0]))), light, max(size, LEAST_SOFT))
         return facing * (1 - DEPTH * (1 - cv2.GaussianBlur(seen.astype(np.float32), (0, 0), 1.1)))
@@ -100,7 +100,7 @@ class BustShading:
 
     def fine_visibility(self, light: np.ndarray, size: float) -> np.ndarray:
         """How much of a lamp reaches each place of :data:`FINE`, 0 to 1, its horizon marched exactly."""
-        if size < NO_EDGE and self._sees_all(light):
+        if size < NO_EDGE and self.sees_all(light):
             return np.ones(FINE.size, np.float32)
         side = max(float(np.hypot(light[0], light[1])), 1e-6)
         towards = round(float(light[0]) / side, 4), round(float(light[1]) / side, 4)
@@ -112,7 +112,7 @@ class BustShading:
         smooth: np.ndarray = cv2.GaussianBlur(vague, (0, 0), CLOTHES_BLUR * FINE.density)
         return self._known * sharp + (1 - self._known) * smooth
 
-    def _sees_all(self, light: np.ndarray) -> bool:
+    def sees_all(self, light: np.ndarray) -> bool:
         """Whether a lamp stands at the camera: what the camera sees, it lights."""
         return not self.exhaustive and float(np.hypot(light[0], light[1])) < AT_CAMERA and float(light[2]) > 0
 

@@ -1,17 +1,13 @@
 """What compressing the default statistics costs: megabytes, load time, and what it changes in relit faces.
 
-python scripts/measure/compression.py --yale yaleb_192x168.npz --scan SCAN --csv scripts/results/compression.csv
+python scripts/measure/compressed_statistics.py --yale yaleb_192x168.npz --scan SCAN --csv
 
 A row a coarseness, 0 for statistics as they are trained. Changes are root mean squares in grey levels against those,
 over the face of crops relit from one light to seven others: held-out rendered heads, and Extended Yale B. Errors are
 against the truth. *person* is that of portrait-A (fair and deep, see scripts/evaluate/portrait.py).
 """
 
-import argparse
-import csv
-import datetime
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -26,6 +22,7 @@ from torch import Tensor
 
 from facerelight.config import DEFAULT_CONFIG, default_statistics_folder
 from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.alignment import CANONICAL_SIZE, CropFrame, fit_similarity, warp_to_crop
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
@@ -131,36 +128,17 @@ def measure(folder: Path, sets: dict[str, Crops], full: dict[str, list[Tensor]],
     return row
 
 
-def commit() -> str:
-    """Of this checkout."""
-    asked = ["git", "describe", "--always", "--dirty", "--abbrev=7"]
-    return subprocess.run(asked, cwd=SCRIPTS, capture_output=True, text=True).stdout.strip() or "unknown"
-
-
-def write_csv(path: Path, rows: list[dict[str, float]], told: str, of: str) -> None:
-    """A row a coarseness, and above them, behind ``#``, how they came about."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        file.write(f"# command: python scripts/measure/compression.py {told}\n# date: {datetime.date.today()}\n")
-        file.write(f"# machine: {os.cpu_count()} cores, no GPU, threads used: {torch.get_num_threads()}\n")
-        file.write(f"# commit: {of}\n")
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--statistics", type=Path, help="full ones of the default config (default: the user's cache)")
     parser.add_argument("--coarseness", default="0.5,1,2,4", help="several with commas (default: 0.5,1,2,4)")
     parser.add_argument("--yale", type=Path, default=None, help="yaleb_192x168.npz")
     parser.add_argument("--scan", type=Path, default=None, help="folder with lps_head.npz and color.jpg")
     parser.add_argument("--threads", type=int, default=1, help="default: 1")
-    parser.add_argument("--csv", type=Path, default=None)
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     torch.set_grad_enabled(False)
-    of = commit()  # before anything runs
     trained = args.statistics or default_statistics_folder(DEFAULT_CONFIG)
     sets = {"rendered": rendered_crops()} | ({"yale": yale_crops(args.yale)} if args.yale else {})
     full: dict[str, list[Tensor]] = {}
@@ -173,9 +151,7 @@ def main() -> None:
             row = {name: round(value, 3) for name, value in measure(folder, sets, full, args.scan).items()}
         rows.append({"coarseness": coarseness, **row})
         print(rows[-1], flush=True)
-    if args.csv:
-        data = ("--yale YALE " if args.yale else "") + ("--scan SCAN " if args.scan else "")
-        write_csv(args.csv, rows, f"{data}--coarseness {args.coarseness} --threads {args.threads}", of)
+    parser.save_rows(args.csv, rows)
 
 
 if __name__ == "__main__":

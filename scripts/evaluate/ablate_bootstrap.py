@@ -5,24 +5,25 @@ For every row: RMSE in grey levels from a frontal and from a side-lit photograph
 whole-face model), and rank-1 accuracy with all people enrolled from a frontal photograph (yale-recognize, Weber faces,
 individual PCA of 9 dimensions).
 
-python scripts/ablate_bootstrap.py --data yaleb_192x168.npz --markdown ablation.md
+python scripts/evaluate/ablate_bootstrap.py --data yaleb_192x168.npz --markdown ablation.md
 """
 
-import argparse
 import multiprocessing
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 
+from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.domain import Domain
 from facerelight.bootstrap.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
 from facerelight.evaluation.recognition import evaluate_galleries, training_lights
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
@@ -62,12 +63,33 @@ def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
     return rows
 
 
+class BareHeads(BootstrapDataset):
+    """Heads without some of their paint."""
+
+    def __init__(self, *arguments: Any, bare: dict[str, float]) -> None:
+        super().__init__(*arguments)
+        self.bare = bare
+
+    def look(self, index: int) -> Look:
+        """Person ``index``'s paint, what is left of it."""
+        return replace(super().look(index), **self.bare)
+
+
 def render(config: TrainConfig, bare: dict[str, float], part: int, *, parts: int) -> torch.Tensor:
     """Every ``parts``-th head of a config from number ``part`` on, without some of its paint, ``(N, J, H, W)``."""
     torch.set_num_threads(1)
-    dataset = make_dataset(config)
-    painted: Callable[[int], Look] = dataset.look
-    vars(dataset)["look"] = lambda index: replace(painted(index), **bare)
+    whole = make_dataset(config)
+    dataset = BareHeads(
+        whole.source,
+        whole.count,
+        whole.lights,
+        whole.frame,
+        whole.domain,
+        whole.seed,
+        whole.effects,
+        whole.supersample,
+        bare=bare,
+    )
     return dataset.images(range(part, config.heads, parts))
 
 
@@ -101,25 +123,25 @@ def measure(images: torch.Tensor, faces: FaceImages, rank: int, detail: float) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--ict", type=Path, default=None, help="ict_heads.npz, for the rows with scanned heads")
     parser.add_argument("--heads", type=int, default=80)
-    parser.add_argument("--height", type=int, default=48)
-    parser.add_argument("--width", type=int, default=42)
-    parser.add_argument("--markdown", type=Path, default=None)
+    parser.add_size(48, 42)
+    parser.add_argument("--markdown", type=Path, default=None, help="the table as Markdown")
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
     angles = angle_pairs(faces.lights)
     config = TrainConfig(args.heads, lights=angles, height=args.height, width=args.width, margin=0.0)
-    lines = ["| added | RMSE front | RMSE side | rank-1 |", "|---|---|---|---|"]
-    print("\n".join(lines))
+    rows: list[dict[str, object]] = []
 
     def row(name: str, images: torch.Tensor, detail: float = 0.0) -> None:
         front, side, accuracy = measure(images, faces, min(40, len(images) // 2), detail)
-        lines.append(f"| {name} | {front:.2f} | {side:.2f} | {accuracy:.1f} |")
-        print(lines[-1], flush=True)
+        figures: dict[str, object] = {"RMSE front": round(front, 2), "RMSE side": round(side, 2)}
+        rows.append({"added": name, **figures, "rank-1": round(accuracy, 1)})
+        print(rows[-1], flush=True)
 
     with multiprocessing.get_context("spawn").Pool(2) as pool:
 
@@ -139,8 +161,10 @@ def main() -> None:
             scans = rendered(replace(config, source=str(args.ict), domain=upright), {})
             row("scanned heads instead (ICT-FaceKit)", scans)
             row("both kinds of heads, half of each", torch.cat((images[::2], scans[::2])))
+    print(markdown(rows))
     if args.markdown:
-        args.markdown.write_text("\n".join(lines) + "\n")
+        args.markdown.write_text(markdown(rows) + "\n")
+    parser.save_rows(args.csv, rows)
 
 
 if __name__ == "__main__":

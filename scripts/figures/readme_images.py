@@ -1,16 +1,16 @@
 """Make the pictures of the README: a public-domain photo relit by soft and by hard lamps, and what the light angles
 mean on a rendered head.
 
-python scripts/make_readme_images.py --photo astronaut.png --output .github/images
+python scripts/figures/readme_images.py --photo astronaut.png --output .github/images
 """
 
-import argparse
 from pathlib import Path
 
 import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.heads import MakeHumanHeads
+from facerelight.evaluation.results import ScriptParser
 from facerelight.evaluation.visualize import contact_sheet, needle_map
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
@@ -57,7 +57,7 @@ def light_sheet(output: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--photo", type=Path, required=True)
     parser.add_argument("--output", type=Path, default=Path(".github/images"))
     args = parser.parse_args()

@@ -1,20 +1,18 @@
 """The thesis's own suggestion against mixed identity (7.3): the per-pixel model on a multi-resolution pyramid.
 
-python scripts/measure_pyramid.py --data yaleb_192x168.npz
+python scripts/measure/pyramid.py --data yaleb_192x168.npz
 
 Protocol yale-relight with real, registered statistics. Every image is a sum of bands, each half as fine as the one
 before (Burt and Adelson); the model holds for each band as for the image, both being linear. A coarse pixel sees a
 large part of the face. Rows: the per-pixel model, the same on the bands, and the whole-face model.
 """
 
-import argparse
-from pathlib import Path
-
 import torch
 from kornia.geometry.transform import resize
 
 from facerelight.evaluation import SOURCES
 from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.learning import FitOptions
@@ -63,10 +61,10 @@ class Pyramid:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
+    parser.add_size(96, 84)
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
@@ -101,11 +99,12 @@ def main() -> None:
                 for name, relit in made.items():
                     error = (undeform(relit, theta).clamp(0, 1) - person[targets]) * 255
                     errors.setdefault((name, case), []).append(error.square().mean((1, 2)).sqrt())
-    print("| model | " + " | ".join(SOURCES) + " |\n|---|---|---|")
-    for name in dict.fromkeys(name for name, _ in errors):
-        print(
-            f"| {name} | " + " | ".join(f"{float(torch.cat(errors[name, case]).mean()):.2f}" for case in SOURCES) + " |"
-        )
+    rows: list[dict[str, object]] = [
+        {"model": name, **{case: round(float(torch.cat(errors[name, case]).mean()), 2) for case in SOURCES}}
+        for name in dict.fromkeys(name for name, _ in errors)
+    ]
+    print(markdown(rows))
+    parser.save_rows(args.csv, rows)
 
 
 if __name__ == "__main__":

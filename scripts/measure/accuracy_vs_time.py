@@ -1,8 +1,9 @@
-"""What accuracy costs in time: every knob of the package against error on held-out people, as CSV files, tables and a
-plot.
+"""What accuracy costs in time: every knob of the package against error on held-out people, as tables and a plot.
 
-python scripts/accuracy_vs_time.py --output trade_off/ [--data yaleb_192x168.npz]        (about half an hour on two
-cores; --quick: a smoke test)
+python scripts/measure/accuracy_vs_time.py --output trade_off/ --csv [--data yaleb_192x168.npz]
+python scripts/measure/accuracy_vs_time.py --output trade_off/ --from-csv scripts/results/accuracy_vs_time.csv
+
+The first takes about half an hour on two cores (--quick: a smoke test); the second draws what it kept.
 
 Each row changes one knob off the default. Error: RMSE in grey levels over held-out rendered heads (and, with --data,
 seven people of Extended Yale B, statistics of the other 21), inputs lit from the front and from 70 degrees, twelve
@@ -13,23 +14,29 @@ in the same process, so that it carries to another machine. Memory: what the pro
 the statistics' buffers.
 """
 
-import argparse
 import csv
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from tqdm import tqdm
-from trade_off_parts import peak_memory_mb, poses, recognition, rendering
 
 from facerelight.config import DEFAULT_CONFIG, QUALITIES, TrainConfig
+from facerelight.evaluation.cost import paired, peak_memory_mb
 from facerelight.evaluation.datasets import load_yale, to_grid
-from facerelight.geometry.lights import even_hemisphere, light_from_angles, nearest_lights
+from facerelight.evaluation.results import ScriptParser, markdown, read_rows
+from facerelight.evaluation.trade_off import draw_trade_off
+from facerelight.geometry.lights import (
+    angle_grid,
+    even_hemisphere,
+    hemisphere_quadrature,
+    light_from_angles,
+    nearest_lights,
+)
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -37,8 +44,13 @@ from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.mixture import draw_mixture, histogram_mode
+from facerelight.recognition.exemplars import direct_subspace, light_moments, synthesize
+from facerelight.recognition.pca import IndividualPCAClassifier
+from facerelight.recognition.photometric import make_normalizer
 from facerelight.train.dataset import make_dataset
+from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 from facerelight.viewpoint.regions import GroupRelighter, make_regions, random_groups
+from facerelight.viewpoint.thesis import GridViews
 from facerelight.viewpoint.views import LightViews
 
 FIELDS = [
@@ -58,6 +70,8 @@ FIELDS = [
 ]
 SOURCES = torch.stack((light_from_angles(0.0, 0.0), light_from_angles(70.0, 0.0)))
 MORE_INPUTS = (5, 17, 40)  # further lights, for rows with several inputs
+POSED = [View(-30.0), View(30.0), View()]  # three photographs of a person, as in 5.6.1
+ASKED = [View(float(azimuth)) for azimuth in (-83, -52, -22, 0, 22, 52, 83)]  # off the thesis's grid
 
 Relight = Callable[
     [torch.Tensor, int], torch.Tensor
@@ -151,14 +165,12 @@ class Bench:
         distance = statistics.mean(
             rmse(a, b) for x, y in zip(made, self.reference, strict=True) for a, b in zip(x, y, strict=False)
         )
-        person, times = heads.strangers[0], []
-        for _ in range(self.repeats):
-            started = time.perf_counter()
+        person = heads.strangers[0]
+
+        def once() -> None:
             relight(person, heads.sources[1])
-            middle = time.perf_counter()
-            for _ in range(20):
-                self.product()
-            times.append((middle - started, (time.perf_counter() - middle) / 20))
+
+        cost = paired(once, self.product, self.repeats, bares=20)
         row = dict.fromkeys(FIELDS, "") | {
             "knob": knob,
             "value": value,
@@ -166,9 +178,9 @@ class Bench:
             "rmse_front": round(errors[0], 2),
             "rmse_side": round(errors[1], 2),
             "distance": round(distance, 2),
-            "milliseconds": round(1e3 * statistics.median(t for t, _ in times), 1),
-            "ratio": round(statistics.median(t / r for t, r in times), 1),
-            "peak_mb": round(peak_memory_mb(lambda: relight(person, heads.sources[1])), 1),
+            "milliseconds": round(1e3 * cost.ours, 1),
+            "ratio": round(cost.ratio, 1),
+            "peak_mb": round(peak_memory_mb(once), 1),
             "people": len(heads.strangers[:people]),
             "statistics_mb": round(
                 sum(buffer.numel() * buffer.element_size() for buffer in learned.buffers()) / 1e6, 1
@@ -384,44 +396,154 @@ def relighting(bench: Bench, quick: bool) -> None:
     )
 
 
-def table(rows: list[dict]) -> str:
-    """Markdown; the default's value in bold."""
-    fields = [field for field in rows[0] if field != "default"]
-    lines = ["| " + " | ".join(field.replace("_", " ") for field in fields) + " |", "|" + "---|" * len(fields)]
-    for row in rows:
-        shown = {**row, "value": f"**{row['value']}**" if row["default"] else row["value"]}
-        lines.append("| " + " | ".join(str(shown[field]) for field in fields) + " |")
-    return "\n".join(lines) + "\n"
+def recognition(
+    learned: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, targets: torch.Tensor, quick: bool
+) -> list[dict[str, object]]:
+    """Individual PCA over ``people (N, J, H, W)``, each enrolled from one image lit from up to 70 degrees, probes under
+    the ``targets``."""
+    relighter = StatisticalRelighter(learned, "face")
+    generator = torch.Generator().manual_seed(0)
+    front = (lights[:, 2] > 0.34).nonzero()[:, 0]
+    chosen = front[torch.randint(len(front), (len(people),), generator=generator)]
+    photos = people[torch.arange(len(people)), chosen]
+    probes = people[:, targets].flatten(0, 1)
+    labels = [person for person in range(len(people)) for _ in targets]
+    rows: list[dict[str, object]] = []
 
+    def add(
+        knob: str,
+        value: object,
+        default: bool,
+        nodes: torch.Tensor | None = None,
+        dimension: int = 9,
+        photometric: str | None = None,
+        scale: float = 1.0,
+    ) -> None:
+        nodes = even_hemisphere(80) if nodes is None else nodes
+        small = (round(people.shape[2] * scale), round(people.shape[3] * scale))
 
-def plot(axis: Axes, rows: list[dict], error: str, cost: str, labels: tuple[str, str]) -> None:
-    """Error against cost, a line a knob, with the Pareto frontier and the defaults."""
-    for index, knob in enumerate(dict.fromkeys(row["knob"] for row in rows)):
-        points = [row for row in rows if row["knob"] == knob]
-        axis.plot(
-            [p[cost] for p in points],
-            [p[error] for p in points],
-            ".-",
-            color=f"C{index % 10}",
-            label=knob,
-            linewidth=0.7,
+        def shrunk(images: torch.Tensor) -> torch.Tensor:
+            return images if scale == 1 else torch.nn.functional.interpolate(images[:, None], small, mode="area")[:, 0]
+
+        classifier = IndividualPCAClassifier(dimension, normalizer=make_normalizer(photometric))
+        started = time.perf_counter()
+        posterior = relighter.condition(photos[:, None], lights[chosen][:, None])
+        if value == "direct, no synthesis":
+            moments = light_moments(posterior, nodes, torch.ones(len(nodes)))
+            classifier.fit_subspaces(
+                [direct_subspace(person, moments, dimension) for person in posterior.people], range(len(people))
+            )
+        else:
+            relit = synthesize(posterior, nodes).flatten(0, 1)
+            classifier.fit(shrunk(relit), [person for person in range(len(people)) for _ in nodes])
+        enrolled = time.perf_counter()
+        right = classifier.score(shrunk(probes), labels)
+        ended = time.perf_counter()
+        rows.append(
+            {
+                "knob": knob,
+                "value": value,
+                "default": "yes" if default else "",
+                "error": round(100 * (1 - right), 1),
+                "enrol_ms": round(1e3 * (enrolled - started) / len(people), 1),
+                "probe_ms": round(1e3 * (ended - enrolled) / len(probes), 2),
+                "mb_a_person": round(classifier.bases[0].numel() * 4 / 1e6, 2),
+            }
         )
-    best, frontier = float("inf"), []
-    for row in sorted(rows, key=lambda row: (row[cost], row[error])):
-        if row[error] < best:
-            best = row[error]
-            frontier.append(row)
-    axis.step(
-        [f[cost] for f in frontier], [f[error] for f in frontier], "k", where="post", linewidth=0.8, label="frontier"
-    )
-    axis.plot(rows[0][cost], rows[0][error], "k*", markersize=12, label="default")
-    axis.set_xscale("log")
-    axis.set_xlabel(labels[0])
-    axis.set_ylabel(labels[1])
-    axis.legend(fontsize=6, ncols=2)
+        print(rows[-1], flush=True)
+
+    add("exemplars", 80, True)
+    add("exemplars", "direct, no synthesis", False)
+    if quick:
+        return rows
+    for count in (20, 40, 160):
+        add("exemplars", count, False, even_hemisphere(count))
+    add("exemplars", "900, the thesis's grid", False, angle_grid(30))
+    for order in (4, 8, 12):
+        add("quadrature of the hemisphere", f"{2 * order**2} nodes", False, hemisphere_quadrature(order)[0])
+    for dimension in (3, 5, 9, 20, 40):
+        add("dimensions", dimension, dimension == 9, dimension=dimension)
+    for scale in (0.25, 0.5, 1.0):
+        add("resolution", f"{scale:g} of 96 x 84", scale == 1, scale=scale)
+    for photometric in ("tan_triggs", "weber"):
+        add("photometric", photometric, False, photometric=photometric)
+    return rows
 
 
-def write(tables: dict[str, list[dict]], folder: Path) -> None:
+def rendering(heads: int, lights: int) -> list[dict[str, object]]:
+    """Effects that a scene calls for against all of them, at the default config's size: time of an image and distance
+    from all effects."""
+    images: dict[str, torch.Tensor] = {}
+    rows: list[dict[str, object]] = []
+    for effects in ("all", "auto"):
+        dataset = make_dataset(TrainConfig(heads=heads, lights=lights, effects=effects))
+        _ = dataset[0]  # opens the renderer
+        started = time.perf_counter()
+        images[effects] = dataset.images(range(heads))
+        seconds = time.perf_counter() - started
+        dataset.close()
+        difference = float((images[effects] - images["all"]).square().mean().sqrt() * 255)
+        milliseconds = 1e3 * seconds / heads / len(dataset.lights)
+        rows.append(
+            {
+                "knob": "effects",
+                "value": effects,
+                "default": "yes" if effects == "auto" else "",
+                "rmse": round(difference, 6),
+                "image_ms": round(milliseconds, 1),
+            }
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
+def poses(quick: bool) -> list[dict[str, object]]:
+    """Other poses from three photographs: statistics of the thesis's 45 poses interpolated against rendering the pose
+    that is asked for."""
+    heads, people, height, width = (6, 2, 24, 21) if quick else (60, 4, 48, 42)
+    targets = ASKED[4:5] if quick else ASKED
+    config = TrainConfig(heads=heads, height=height, width=width, supersample=1, fit=DEFAULT_CONFIG.fit)
+    rows: list[dict[str, object]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        source = BootstrapViews(config, folder)
+        held_out = BootstrapViews(replace(config, heads=people), folder, first=heads)
+        inputs = torch.stack([held_out.images(view) for view in POSED], 1)
+        truth = torch.stack([held_out.images(view) for view in targets], 1)
+        for view in POSED:
+            source.images(view)
+        started = time.perf_counter()
+        for view in targets:
+            source.images(view)
+        rendered = (time.perf_counter() - started) / len(targets)
+        makers = {
+            "on demand, whole-face": (lambda: ViewRelighter(source, min(40, heads - 2)), rendered),
+            "on demand, per-pixel": (lambda: ViewRelighter(source, 0), rendered),
+        }
+        if not quick:
+            makers["45 poses interpolated"] = (lambda: ViewRelighter(GridViews(source, 6.0), 0), 0.0)
+        for name, (make, once) in makers.items():
+            relighter = make()
+            times, made = [], []
+            for view in targets:
+                started = time.perf_counter()
+                made.append(relighter(inputs, POSED, view).mean)
+                times.append(time.perf_counter() - started)
+            error = (torch.stack(made, 1).clamp(0, 1) - truth.clamp(0, 1)).square().mean((2, 3)).sqrt().mean() * 255
+            rows.append(
+                {
+                    "knob": "pose",
+                    "value": name,
+                    "default": "yes" if name == "on demand, whole-face" else "",
+                    "rmse": round(float(error), 2),
+                    "view_ms": round(1e3 * statistics.median(times) / people, 1),
+                    "first_view_ms": round(1e3 * once, 0),
+                }
+            )
+            print(rows[-1], flush=True)
+    return rows
+
+
+def save(tables: dict[str, list[dict]], folder: Path) -> None:
     """A CSV and a Markdown table each, and the plot."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, rows in tables.items():
@@ -429,49 +551,55 @@ def write(tables: dict[str, list[dict]], folder: Path) -> None:
             writer = csv.DictWriter(file, list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
-        (folder / f"{name}.md").write_text(table(rows))
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    everybody = tables["relighting"][0][
-        "people"
-    ]  # slow settings are measured on fewer, and cannot be compared in a plot
-    one_input = [row for row in tables["relighting"] if row["knob"] != "input images" and row["people"] == everybody]
-    plot(
-        left,
-        one_input,
-        "rmse_side",
-        "milliseconds",
-        ("milliseconds for one image and twelve lights", "RMSE from a side-lit input, grey levels"),
-    )
-    plot(
-        right, tables["recognition"], "error", "enrol_ms", ("milliseconds to enrol a person", "rank-1 errors, percent")
-    )
-    figure.savefig(folder / "trade_off.png", dpi=110)
+        (folder / f"{name}.md").write_text(markdown(rows, bold="value") + "\n")
+    draw_trade_off(tables["relighting"], tables["recognition"], folder / "trade_off.png")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--data", type=Path, default=None, help="yaleb_192x168.npz or a CroppedYale folder")
-    parser.add_argument("--quick", action="store_true")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_argument("--output", type=Path, required=True, help="folder for tables and plot")
+    parser.add_faces(required=False)
+    parser.add_argument("--quick", action="store_true", help="a smoke test")
+    parser.add_argument("--from-csv", type=Path, default=None, help="measure nothing: tables and plot of what was kept")
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
-    height, width = (24, 21) if args.quick else (96, 84)
-    worlds = {"heads": rendered_world(10, 2, height, width) if args.quick else rendered_world(160, 30, height, width)}
+    if args.from_csv:
+        tables = kept(args.from_csv)
+    else:
+        tables = measured(args.data, args.quick)
+        parser.save_rows(args.csv, [{"table": name, **row} for name, rows in tables.items() for row in rows])
+    save(tables, args.output)
+
+
+def kept(path: Path) -> dict[str, list[dict]]:
+    """The tables that ``--csv`` wrote into one file; of each the columns that it fills."""
+    tables: dict[str, list[dict]] = {}
+    for row in read_rows(path):
+        tables.setdefault(row.pop("table"), []).append(row)
+    for name, rows in tables.items():
+        columns = [column for column in rows[0] if column == "default" or any(row[column] for row in rows)]
+        tables[name] = [{column: row[column] for column in columns} for row in rows]
+    return tables
+
+
+def measured(data: Path | None, quick: bool) -> dict[str, list[dict]]:
+    """The tables, by name."""
+    height, width = (24, 21) if quick else (96, 84)
+    worlds = {"heads": rendered_world(10, 2, height, width) if quick else rendered_world(160, 30, height, width)}
     gallery = worlds["heads"].strangers
     worlds["heads"].strangers = gallery[:10]
-    if args.data:
-        worlds["yale"] = yale_world(args.data, height, width)
-    bench = Bench(worlds, 3 if args.quick else 7)
-    relighting(bench, args.quick)
+    if data:
+        worlds["yale"] = yale_world(data, height, width)
+    bench = Bench(worlds, 3 if quick else 7)
+    relighting(bench, quick)
     heads = worlds["heads"]
-    tables = {
+    return {
         "relighting": bench.rows,
-        "recognition": recognition(heads.fit(DEFAULT_CONFIG.fit), gallery, heads.lights, heads.targets, args.quick),
-        "rendering": rendering(2 if args.quick else 3, 4 if args.quick else 20),
-        "poses": poses(args.quick),
+        "recognition": recognition(heads.fit(DEFAULT_CONFIG.fit), gallery, heads.lights, heads.targets, quick),
+        "rendering": rendering(2 if quick else 3, 4 if quick else 20),
+        "poses": poses(quick),
     }
-    write(tables, args.output)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
 """What training costs: by pass for each head and light, and in time and memory from 50 to 400 heads, with a plan for a
 million.
 
-python scripts/measure_training.py --picture scaling.png
-python scripts/measure_training.py --processes
+python scripts/measure/training.py --picture scaling.png
+python scripts/measure/training.py --processes
 """
 
-import argparse
 import json
 import os
 import statistics
@@ -18,10 +17,13 @@ from pathlib import Path
 
 import matplotlib
 import torch
+from torch import Tensor
 
-from facerelight.bootstrap.effects import EFFECTS
+from facerelight.bootstrap.effects import EFFECTS, CastShadow, LampLight, Scene
+from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.config import TrainConfig
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
@@ -32,6 +34,19 @@ COUNTS = (50, 100, 200, 400)
 MILLION = 1_000_000
 
 
+class TimedShadow(CastShadow):
+    """The cast shadow, its seconds put into a list."""
+
+    def __init__(self, seconds: list[float]) -> None:
+        self.seconds = seconds
+
+    def attenuate(self, scene: Scene, where: Tensor, light: LampLight, renderer: MeshRenderer) -> None:
+        """What stands in the way of the light."""
+        started = time.perf_counter()
+        super().attenuate(scene, where, light, renderer)
+        self.seconds.append(time.perf_counter() - started)
+
+
 def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
     """Mean milliseconds, single process: a head's mesh and geometry once; for each light planning, shadow pass, the
     rest of shading."""
@@ -40,14 +55,7 @@ def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
     dataset.surface(0)  # opens the renderer
     times: dict[str, list[float]] = defaultdict(list)
     cast = EFFECTS["cast"]
-    attenuate = cast.attenuate
-
-    def timed(*arguments):  # type: ignore[no-untyped-def]
-        started = time.perf_counter()
-        attenuate(*arguments)
-        times["shadow"].append(time.perf_counter() - started)
-
-    cast.attenuate = timed  # type: ignore[method-assign]
+    EFFECTS["cast"] = TimedShadow(times["shadow"])
     for index in range(heads):
         started = time.perf_counter()
         surface, material = dataset.surface(index)
@@ -56,10 +64,10 @@ def breakdown(config: TrainConfig, heads: int) -> dict[str, float]:
             started = time.perf_counter()
             plan = plan_effects(surface, light, material)
             planned = time.perf_counter()
-            shade(surface, light, material, plan, dataset._renderer)  # type: ignore[arg-type]
+            shade(surface, light, material, plan, dataset.renderer)
             times["plan"].append(planned - started)
             times["light"].append(time.perf_counter() - planned)
-    cast.attenuate = attenuate  # type: ignore[method-assign]
+    EFFECTS["cast"] = cast
     dataset.close()
     total = {name: 1e3 * sum(values) for name, values in times.items()}
     lights = heads * len(dataset.lights)
@@ -95,7 +103,7 @@ def trained(heads: int, options: list[str]) -> dict[str, float]:
 def shared(processes: int, folder: Path) -> tuple[float, float]:
     """Seconds of rendering and solving ``configs/tiny.yaml`` under torchrun, and of the whole command; every process
     held to one thread."""
-    config = Path(__file__).parents[1] / "configs" / "tiny.yaml"
+    config = Path(__file__).parents[2] / "configs" / "tiny.yaml"
     launcher = [
         sys.executable,
         "-m",
@@ -133,22 +141,21 @@ def two_processes(repeats: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--heads", type=int, default=5, help="for the costs by pass, at the default config's size")
     parser.add_argument("--height", type=int, default=48, help="of the runs of 50 to 400 heads")
     parser.add_argument("--width", type=int, default=42)
     parser.add_argument("--lights", type=int, default=32)
     parser.add_argument("--picture", type=Path, default=None)
     parser.add_argument("--processes", action="store_true", help="measure one process against two, and nothing else")
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     if args.processes:
         two_processes(5)
         return
     costs = breakdown(TrainConfig(heads=args.heads), args.heads)
-    print("| pass | ms |\n|---|---|")
-    for name, milliseconds in costs.items():
-        print(f"| {name} | {milliseconds:.1f} |")
+    print(markdown([{"pass": name, "ms": round(milliseconds, 1)} for name, milliseconds in costs.items()]))
     options = [
         "--height",
         str(args.height),
@@ -160,9 +167,13 @@ def main() -> None:
         "1",
     ]
     runs = {count: trained(count, options) for count in COUNTS}
-    print("\n| heads | rendering s | solving s | peak memory MB |\n|---|---|---|---|")
-    for count, run in runs.items():
-        print(f"| {count} | {run['render_seconds']} | {run['solve_seconds']} | {run['peak_memory_mb']} |")
+    rows = [
+        {"heads": count, "rendering s": run["render_seconds"], "solving s": run["solve_seconds"]}
+        | {"peak memory MB": run["peak_memory_mb"]}
+        for count, run in runs.items()
+    ]
+    print(f"\n{markdown(rows)}")
+    parser.save_report(args.json, {"milliseconds": costs, "runs": rows})
     config = TrainConfig()
     a_head = costs["geometry of a head"] + len(config.directions()) * (
         sum(costs.values()) - costs["geometry of a head"]

@@ -1,20 +1,19 @@
 """Monte Carlo: error against the number of draws, for the expected image (Algorithm 2) and the most probable one
 (Algorithm 1).
 
-python scripts/measure_draws.py --json draws.json
+python scripts/measure/draws.py --json draws.json
 
 Light samples are independent, as in the thesis, or quasi-random. Errors are RMS grey levels against a converged run,
 over held-out rendered heads under unknown lights; the model is that of configs/tiny.yaml.
 """
 
-import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from facerelight.cli import read_config
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.numerics.mixture import draw_mixture, histogram_mode, mixture_mode
@@ -26,11 +25,11 @@ REFERENCE = 8192
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", default=str(Path(__file__).parent.parent / "configs" / "tiny.yaml"))
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_argument("--config", default=str(Path(__file__).parents[2] / "configs" / "tiny.yaml"))
     parser.add_argument("--people", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=4, help="sets of draws that are averaged")
-    parser.add_argument("--json", default=None)
+    parser.add_results("json")
     args = parser.parse_args()
     config = read_config(args.config)
     relighter = StatisticalRelighter.from_pretrained(trained_folder(config), "pixel")
@@ -68,8 +67,7 @@ def main() -> None:
             {"draws_a_pixel": 64 * draws, "mean_error": float(error.mean()), "p95_error": float(error.quantile(0.95))}
         )
         print(histogram[-1], flush=True)
-    if args.json:
-        Path(args.json).write_text(json.dumps({"expected": rows, "histogram": histogram}, indent=2))
+    parser.save_report(args.json, {"expected": rows, "histogram": histogram})
 
 
 if __name__ == "__main__":

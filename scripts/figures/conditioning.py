@@ -1,13 +1,12 @@
 """Relative error of a conditional mean against the condition number of its covariance: float32, the package, and
 60-digit arithmetic.
 
-python scripts/plot_conditioning.py --output conditioning.png
+python scripts/figures/conditioning.py --output conditioning.png
 
 The covariances are those of images under K = 4 lights that draw nearer to each other, as in the model: smooth terms and
 a narrow kernel.
 """
 
-import argparse
 import warnings
 
 import mpmath
@@ -15,6 +14,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
+from facerelight.evaluation.results import ScriptParser
 from facerelight.model.covariance import MEASUREMENT, observed
 from facerelight.numerics.gaussian import NumericalWarning, condition_gaussian
 
@@ -68,10 +68,13 @@ def sweep() -> list[tuple[float, float, float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--output", required=True)
+    parser.add_results("csv")
     args = parser.parse_args()
     rows = sweep()
+    names = ("condition", "float32", "facerelight")
+    parser.save_rows(args.csv, [dict(zip(names, row, strict=True)) for row in rows])
     figure = Figure(figsize=(5, 3), layout="constrained")
     axis = figure.subplots()
     condition, plain, ours = zip(*rows, strict=True)

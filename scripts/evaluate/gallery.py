@@ -5,11 +5,8 @@ Extended Yale B as a person would photograph it: sRGB, in a larger picture. Ever
 lights; probes are six other lights, up to 70 degrees to the side. Landmarks are found by the package, or are the crop's
 own with Gaussian noise.
 
-python scripts/evaluate_gallery.py --data yaleb_192x168.npz
+python scripts/evaluate/gallery.py --data yaleb_192x168.npz
 """
-
-import argparse
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,6 +14,7 @@ from kornia.color import linear_rgb_to_rgb
 
 from facerelight.config import DEFAULT_CONFIG
 from facerelight.evaluation.datasets import FaceImages, load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.alignment import CANONICAL_LANDMARKS
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter
@@ -67,18 +65,23 @@ def rank_one(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--photometric", nargs="+", default=["weber_fine", "weber"])
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, 192, 168)
     relighter = StatisticalRelighter.from_pretrained(trained_folder(DEFAULT_CONFIG))
-    print("| landmarks | normalisation | rank-1 | probes | no face found |\n|---|---|---|---|---|")
+    rows: list[dict[str, object]] = []
     for name, noise in (("exact", 0.0), ("2 pixels off", 2.0), ("found", None)):
         for photometric in args.photometric:
             accuracy, probes, missed = rank_one(faces, relighter, photometric, noise)
-            print(f"| {name} | {photometric} | {accuracy:.0f} | {probes} | {missed} |", flush=True)
+            row: dict[str, object] = {"landmarks": name, "normalisation": photometric, "rank-1": round(accuracy)}
+            rows.append(row | {"probes": probes, "no face found": missed})
+            print(rows[-1], flush=True)
+    print(markdown(rows))
+    parser.save_rows(args.csv, rows)
 
 
 if __name__ == "__main__":

@@ -1,46 +1,28 @@
 """Speed where it counts, as ratios to operations that cannot be avoided, all in one process on two threads.
 
-python scripts/benchmark.py --json benchmark.json
-python scripts/benchmark.py --compare before.json after.json
+python scripts/measure/benchmark.py --json benchmark.json
+python scripts/measure/benchmark.py --compare before.json after.json
 
 Sizes: 100 x 100 pixels, 101 lights, whole-face rank 40. Medians of paired runs; the bare operation and ours alternate.
 """
 
-import argparse
 import json
-import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from facerelight.evaluation.cost import paired
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import even_hemisphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.subspaces import Subspace
-
-
-def paired(ours: Callable[[], object], bare: Callable[[], object], repeats: int = 15) -> tuple[float, float, float]:
-    """Median seconds of each, and the median of their ratios, run in turn."""
-    ours(), bare()
-    times = []
-    for _ in range(repeats):
-        a = time.perf_counter()
-        ours()
-        b = time.perf_counter()
-        bare()
-        times.append((b - a, time.perf_counter() - b))
-    return (
-        statistics.median(t[0] for t in times),
-        statistics.median(t[1] for t in times),
-        statistics.median(t[0] / t[1] for t in times),
-    )
 
 
 def seconds(code: str, repeats: int = 5) -> float:
@@ -159,14 +141,17 @@ def photo(learned: FaceStatistics) -> dict[str, float]:
 def compare(before: Path, after: Path) -> None:
     """A table of two runs, of two commits say."""
     old, new = (json.loads(path.read_text()) for path in (before, after))
-    print("| | before | after | ratio |\n|---|---|---|---|")
-    for name in sorted(set(old) & set(new)):
-        print(f"| {name} | {old[name]:.4g} | {new[name]:.4g} | {new[name] / old[name]:.2f} |")
+    shared = sorted(set(old) & set(new) - {"made"})
+    rows = [
+        {"": name, "before": f"{old[name]:.4g}", "after": f"{new[name]:.4g}", "ratio": f"{new[name] / old[name]:.2f}"}
+        for name in shared
+    ]
+    print(markdown(rows))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, default=None)
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_results("json")
     parser.add_argument("--compare", type=Path, nargs=2, metavar=("BEFORE", "AFTER"), default=None)
     args = parser.parse_args()
     if args.compare:
@@ -175,8 +160,7 @@ def main() -> None:
     results = measure()
     for name, value in results.items():
         print(f"{name}: {value:.4g}")
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=2))
+    parser.save_report(args.json, results)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Measure relighting on Extended Yale B: protocols yale-relight and yale-relight-newlights.
 
-python scripts/evaluate_relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --folds 4 --json
-out.json
+python scripts/evaluate/relighting.py --data yaleb_192x168.npz --statistics real --covariance pixel --json out.json
 """
 
 import argparse
@@ -16,6 +15,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.evaluation.datasets import load_yale
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
@@ -41,15 +41,14 @@ def read_domains(path: Path | None, folds: int) -> list[Domain]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--protocol", choices=["yale-relight", "yale-relight-newlights"], default="yale-relight")
     parser.add_argument("--statistics", choices=["real", "synthetic", "adapted"], default="real")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--folds", type=int, default=4)
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
+    parser.add_size(96, 84)
     parser.add_argument("--rank", type=int, default=12, help="of the correlation factor")
     parser.add_argument("--face-rank", type=int, default=18)
     parser.add_argument("--temper", type=float, default=100.0)
@@ -79,7 +78,7 @@ def main() -> int:
         "--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes"
     )
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_results("json")
     args = parser.parse_args()
 
     torch.set_grad_enabled(False)
@@ -144,10 +143,8 @@ def main() -> int:
     }
     if args.covariance == "face":
         report["pixel"] = {case: by["pixel"].summary() for case, by in scores.items()}
-    text = json.dumps(report, indent=2)
-    if args.json:
-        args.json.write_text(text)
-    print(text)
+    print(json.dumps(report, indent=2))
+    parser.save_report(args.json, report)
     return 0
 
 

@@ -3,10 +3,9 @@
 Exemplars of each person are rendered under other lights, poses and expressions from the one photograph, with statistics
 rendered on demand; a person is the PCA subspace of them. Probes lie between the exemplars' views.
 
-python scripts/evaluate_views.py --markdown views.md
+python scripts/evaluate/views.py --markdown views.md
 """
 
-import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.recognition.nearest import NearestNeighborClassifier
 from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import make_normalizer
@@ -45,13 +45,13 @@ def probe_views(expressions: list[tuple[tuple[str, float], ...]]) -> dict[str, l
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--heads", type=int, default=80)
     parser.add_argument("--people", type=int, default=20, help="held-out heads, all enrolled")
-    parser.add_argument("--height", type=int, default=64)
-    parser.add_argument("--width", type=int, default=56)
+    parser.add_size(64, 56)
     parser.add_argument("--expressions", nargs="+", default=None, help="names of two or more expression shapes")
-    parser.add_argument("--markdown", type=Path, default=None)
+    parser.add_argument("--markdown", type=Path, default=None, help="the table as Markdown")
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     names = args.expressions or ["mouthSmileLeft+mouthSmileRight", "jawOpen"]
@@ -70,11 +70,14 @@ def main() -> None:
             name: torch.cat([people.images(view) for view in views]).clamp(0, 1)
             for name, views in probe_views(expressions).items()
         }
-    lines = [f"| exemplars over | {' | '.join(probes)} |", f"|---|{'---|' * len(probes)}"]
+    rows: list[dict[str, object]] = []
 
     def row(name: str, classifier: NearestNeighborClassifier | IndividualPCAClassifier) -> None:
-        scores = [100 * classifier.score(images, labels * (len(images) // len(labels))) for images in probes.values()]
-        lines.append(f"| {name} | {' | '.join(f'{score:.0f}' for score in scores)} |")
+        scores = {
+            what: round(100 * classifier.score(images, labels * (len(images) // len(labels))))
+            for what, images in probes.items()
+        }
+        rows.append({"exemplars over": name, **scores})
 
     normalizer = make_normalizer("weber")
     row("(none) the photograph", NearestNeighborClassifier().fit(photos, labels))
@@ -88,10 +91,10 @@ def main() -> None:
         row(name, IndividualPCAClassifier(9).fit(images, owners))
         row(f"{name}, Weber faces", IndividualPCAClassifier(9, normalizer=normalizer).fit(images, owners))
         row(f"{name}, nearest exemplar", NearestNeighborClassifier().fit(images, owners))
-    text = "\n".join(lines)
+    print(markdown(rows))
     if args.markdown:
-        args.markdown.write_text(text + "\n")
-    print(text)
+        args.markdown.write_text(markdown(rows) + "\n")
+    parser.save_rows(args.csv, rows)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The individual subspace without synthesis (6.2) against that of synthesised exemplars: angles, recognition rates and
 time.
 
-python scripts/measure_subspace.py --data yaleb_192x168.npz
+python scripts/measure/subspace.py --data yaleb_192x168.npz
 
 Extended Yale B, four folds, real registered statistics, whole-face model: everybody enrolled from one image (front,
 then side), all other images as probes, nine dimensions, no photometric normalisation. Light distributions: the thesis's
@@ -9,14 +9,13 @@ then side), all other images as probes, nine dimensions, no photometric normalis
 The moments of the features are computed once for all people.
 """
 
-import argparse
 import time
-from pathlib import Path
 
 import torch
 
 from facerelight.evaluation import SOURCES
 from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.learning import FitOptions
@@ -30,10 +29,10 @@ DIMENSION = 9
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
+    parser.add_size(96, 84)
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
@@ -79,19 +78,20 @@ def main() -> None:
                     classifier = IndividualPCAClassifier(DIMENSION).fit_subspaces(found, people)
                     right = [a == b for a, b in zip(classifier.predict(torch.cat(probes)), labels, strict=True)]
                     row[name] += [float(r) for r in right]
-    print(
-        "| lights | input | angle, median of 9, largest | rank-1, synthesised | rank-1, direct"
-        " | time, synthesised | direct | share |\n" + "|---" * 8 + "|"
-    )
+    lines: list[dict[str, object]] = []
     for (kind, case), row in rows.items():
         angle = torch.tensor(row["angles"])
         slow, fast = (float(torch.tensor(row[name]).median()) for name in ("slow", "fast"))
-        rates = [100 * sum(row[name]) / len(row[name]) for name in ("synthesised", "direct")]
-        print(
-            f"| {kind} | {case} | {float(angle.median()):.1f}, {float(angle.amax(1).median()):.1f}"
-            f" | {rates[0]:.1f} | {rates[1]:.1f}"
-            f" | {1e3 * slow:.0f} ms | {1e3 * fast:.1f} ms | 1/{slow / fast:.0f} |"
+        rates = [round(100 * sum(row[name]) / len(row[name]), 1) for name in ("synthesised", "direct")]
+        lines.append(
+            {"lights": kind, "input": case, "angle, median of 9": round(float(angle.median()), 1)}
+            | {"largest": round(float(angle.amax(1).median()), 1)}
+            | {"rank-1, synthesised": rates[0], "rank-1, direct": rates[1]}
+            | {"ms, synthesised": round(1e3 * slow), "ms, direct": round(1e3 * fast, 1)}
+            | {"share": f"1/{slow / fast:.0f}"}
         )
+    print(markdown(lines))
+    parser.save_rows(args.csv, lines)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,9 @@
 
 The picture holds statistics of the photographs, so it belongs outside the repository.
 
-python scripts/compare_statistics.py --data yaleb_192x168.npz --output comparison.png
+python scripts/evaluate/compare_statistics.py --data yaleb_192x168.npz --output comparison.png
 """
 
-import argparse
 from pathlib import Path
 
 import matplotlib
@@ -17,6 +16,7 @@ import matplotlib.pyplot as plt
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics, PixelStatistics
 from facerelight.train.run import rendered_statistics
@@ -42,13 +42,13 @@ def spectrum(images: Tensor) -> Tensor:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--heads", type=int, default=80)
     parser.add_argument("--source", default="makehuman")
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
+    parser.add_size(96, 84)
     parser.add_argument("--output", type=Path, default=None, help="a picture of the maps")
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
@@ -74,29 +74,33 @@ def main() -> None:
     tones = [255 * people.mean((1, 2)), 255 * heads.mean((1, 2))]
     power = [spectrum(people), spectrum(heads)]
 
-    print("| statistic | real | rendered | distance |\n|---|---|---|---|")
-    print(f"| direction of mean n | | | median {angle.median():.1f}, mean {angle.mean():.1f} degrees |")
-    print(
-        f"| length of mean n (albedo) | {albedo[0].mean():.3f} | {albedo[1].mean():.3f}"
-        f" | ratio's spread {ratio.log().std():.3f} |"
-    )
-    print(f"| spread of n | {spread[0].mean():.3f} | {spread[1].mean():.3f} | |")
-    print(f"| mean v, grey levels | | | RMS {v_error.square().mean().sqrt():.1f} |")
-    print(f"| spread of v, grey levels | {v_spread[0].mean():.1f} | {v_spread[1].mean():.1f} | |")
-    print(
-        f"| brightness by light, real over rendered | | |"
-        f" {gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f} |"
-    )
-    print(f"| mean image, grey levels | | | RMS {255 * (image[0] - image[1]).square().mean().sqrt():.1f} |")
-    print(f"| correlation of v over lights | | | RMS {off.square().mean().sqrt():.3f} |")
+    rows: list[dict[str, object]] = []
+
+    def add(statistic: str, real: object = "", rendered: object = "", distance: object = "") -> None:
+        rows.append({"statistic": statistic, "real": real, "rendered": rendered, "distance": distance})
+
+    def rms(difference: Tensor, digits: int) -> str:
+        return f"RMS {difference.square().mean().sqrt():.{digits}f}"
+
+    add("direction of mean n", distance=f"median {angle.median():.1f}, mean {angle.mean():.1f} degrees")
+    spread_of_ratio = f"ratio's spread {ratio.log().std():.3f}"
+    add("length of mean n (albedo)", *(f"{length.mean():.3f}" for length in albedo), spread_of_ratio)
+    add("spread of n", *(f"{each.mean():.3f}" for each in spread))
+    add("mean v, grey levels", distance=rms(v_error, 1))
+    add("spread of v, grey levels", *(f"{each.mean():.1f}" for each in v_spread))
+    gains = f"{gain.min():.2f} to {gain.max():.2f}, spread {gain.log().std():.2f}"
+    add("brightness by light, real over rendered", distance=gains)
+    add("mean image, grey levels", distance=rms(255 * (image[0] - image[1]), 1))
+    add("correlation of v over lights", distance=rms(off, 3))
     quantile = torch.tensor((0.1, 0.5, 0.9))
-    texts = ["/".join(f"{v:.0f}" for v in tone.quantile(quantile)) for tone in tones]
-    print(f"| tones, grey levels, 10/50/90 % | {texts[0]} | {texts[1]} | |")
+    texts = ("/".join(f"{v:.0f}" for v in tone.quantile(quantile)) for tone in tones)
+    add("tones, grey levels, 10/50/90 %", *texts)
     for k in range(5):
-        print(
-            f"| log power, {2**k * 2} to {2**k * 4} pixels a wave | {power[0][k]:.2f} | {power[1][k]:.2f}"
-            f" | {power[0][k] / power[1][k]:.2f} |"
-        )
+        here, there = float(power[0][k]), float(power[1][k])
+        waves = f"log power, {2**k * 2} to {2**k * 4} pixels a wave"
+        add(waves, f"{here:.2f}", f"{there:.2f}", f"{here / there:.2f}")
+    print(markdown(rows))
+    parser.save_rows(args.csv, rows)
     if args.output is None:
         return
     order = [

@@ -1,6 +1,6 @@
 """Where a photo's light comes from: kernel regression on images against the model's own likelihood.
 
-python scripts/evaluate_light.py --data yaleb_192x168.npz --pie pie10_55x44.npz --json light.json
+python scripts/evaluate/light.py --data yaleb_192x168.npz --pie pie10_55x44.npz --json light.json
 
 Angle between estimate and label, in degrees, and how many percent of the labels lie inside the circle about the
 estimate that holds 90 % of the estimator's samples. Yale: four folds, statistics of the other 21 people. PIE:
@@ -8,7 +8,6 @@ statistics of Yale, labels are the data's own estimates. Heads: 20 held-out rend
 of 100 others. The likelihood's temper is left at its default.
 """
 
-import argparse
 import json
 import time
 from pathlib import Path
@@ -19,6 +18,7 @@ from tqdm import tqdm
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_pie, load_yale, to_grid
 from facerelight.evaluation.recognition import pie_as_canonical
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import angular_distance
 from facerelight.light.estimator import LightEstimator
@@ -76,12 +76,11 @@ def estimators(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--pie", type=Path, default=None)
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_size(96, 84)
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     results = {}
@@ -112,8 +111,7 @@ def main() -> None:
             errors.add(name, estimator, pie.images, pie.lights[pie.light])
         results["pie"] = errors.report()
     print(json.dumps(results, indent=2))
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=2))
+    parser.save_report(args.json, results)
 
 
 if __name__ == "__main__":

@@ -5,15 +5,13 @@ side-lit image. A fold sees the errors of its training people alone (three quart
 world of upright heads, exact landmarks and even lamps to the best value of one setting after another, twice through.
 "all" does the same with everybody, for use on other data.
 
-python scripts/search_domain.py --data yaleb_192x168.npz --json domain.json
+python scripts/data/search_domain.py --data yaleb_192x168.npz --json domain.json
 """
 
-import argparse
 import json
 import multiprocessing
 from dataclasses import asdict, replace
 from functools import cache
-from pathlib import Path
 
 import torch
 
@@ -21,6 +19,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
@@ -76,13 +75,12 @@ class Search:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces()
     parser.add_argument("--folds", type=int, default=4)
     parser.add_argument("--heads", type=int, default=40)
-    parser.add_argument("--height", type=int, default=48)
-    parser.add_argument("--width", type=int, default=42)
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_size(48, 42)
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
@@ -93,10 +91,8 @@ def main() -> None:
         "all": asdict(search.walk(everybody)),
         "evaluated": search.evaluated,
     }
-    text = json.dumps(found, indent=2)
-    if args.json:
-        args.json.write_text(text)
-    print(text)
+    print(json.dumps(found, indent=2))
+    parser.save_report(args.json, found)
 
 
 if __name__ == "__main__":

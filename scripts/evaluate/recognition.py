@@ -1,7 +1,7 @@
 """Measure recognition from one image a person: protocols yale-recognize and pie-recognize.
 
-    python scripts/evaluate_recognition.py --protocol yale-recognize --data yaleb_192x168.npz --train-light side --json
-    out.json python scripts/evaluate_recognition.py --protocol pie-recognize --data pie10_55x44.npz --statistics real \\
+    python scripts/evaluate/recognition.py --protocol yale-recognize --data yaleb_192x168.npz --train-light side
+    python scripts/evaluate/recognition.py --protocol pie-recognize --data pie10_55x44.npz --statistics real \\
         --bootstrap-data yaleb_192x168.npz --train-light random --source-light estimated
 """
 
@@ -16,6 +16,7 @@ import torch
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_pie, load_yale, to_grid
 from facerelight.evaluation.recognition import Enrolment, Tally, evaluate_galleries, pie_as_canonical, training_lights
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.alignment import CropFrame
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.estimator import LightEstimator
@@ -68,7 +69,7 @@ def summary(runs: list[Tally]) -> dict[str, object]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--protocol", choices=["yale-recognize", "pie-recognize"], default="yale-recognize")
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument(
@@ -114,9 +115,8 @@ def main() -> int:
     parser.add_argument(
         "--draws", type=int, default=None, help="galleries in the random cases (default 20 for Yale, 100 for PIE)"
     )
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_size(96, 84)
+    parser.add_results("json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     names = [c if p == "none" else f"{c}+{p}" for p in args.photometric for c in args.classifier] + args.baseline
@@ -172,10 +172,9 @@ def main() -> int:
         }
         for case in args.train_light
     ]
-    text = json.dumps(reports[0] if len(reports) == 1 else reports, indent=2)
-    if args.json:
-        args.json.write_text(text)
-    print(text)
+    report = reports[0] if len(reports) == 1 else reports
+    print(json.dumps(report, indent=2))
+    parser.save_report(args.json, report)
     return 0
 
 

@@ -1,7 +1,7 @@
 """Mixed identity and calibration: what the whole-face model adds where the input is dark, and whether its variances are
 true.
 
-python scripts/evaluate_identity.py --json identity.json [--data yaleb_192x168.npz] [--plot reliability.png]
+python scripts/evaluate/identity.py --json identity.json [--data yaleb_192x168.npz] [--plot reliability.png]
 
 Input: one image lit from 70 degrees, its light known; output: the front (error, identity) and every light
 (calibration). On held-out rendered heads and, with --data, on Extended Yale B in four folds with real statistics.
@@ -10,7 +10,6 @@ and scale)? The plot is a reliability diagram: pixels sorted by predicted standa
 mean square error. Photographed people and inputs are registered; rendered heads are marked exactly.
 """
 
-import argparse
 import json
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from tqdm import tqdm
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import even_hemisphere, light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.learning import FitOptions
@@ -127,16 +127,15 @@ def draw(curves: dict[str, tuple[torch.Tensor, torch.Tensor]], path: Path) -> No
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=None, help="yaleb_192x168.npz or a CroppedYale folder")
+    parser = ScriptParser(__file__, __doc__)
+    parser.add_faces(required=False)
     parser.add_argument("--heads", type=int, default=100)
     parser.add_argument("--people", type=int, default=20, help="held-out rendered heads")
-    parser.add_argument("--height", type=int, default=96)
-    parser.add_argument("--width", type=int, default=84)
+    parser.add_size(96, 84)
     parser.add_argument(
         "--exposure", choices=["unit", "estimated"], default="estimated", help="the input's gain: 1, or an unknown"
     )
-    parser.add_argument("--json", type=Path, default=None)
+    parser.add_results("json")
     parser.add_argument("--plot", type=Path, default=None, help="reliability diagram")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
@@ -169,8 +168,7 @@ def main() -> None:
         )
     results = {name: summary(parts) for name, parts in sums.items()}
     print(json.dumps(results, indent=2))
-    if args.json:
-        args.json.write_text(json.dumps(results, indent=2))
+    parser.save_report(args.json, results)
 
 
 if __name__ == "__main__":

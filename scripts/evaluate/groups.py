@@ -1,19 +1,15 @@
 """Several pixels at a time (5.5): error against the group's size, the number of heads and the covariance's estimator,
 and det C_m.
 
-python scripts/evaluate_groups.py --json groups.json --figure groups.png
+python scripts/evaluate/groups.py --json groups.json --figure groups.png
 
 The input is lit from the side, the output from the front, as in figures 5.9 and 5.10; people are held-out rendered
 heads. Tells which of the three causes suspected in 5.5.2 (the criterion of grouping, the greedy algorithm, too few
 data) makes the thesis's images noisy.
 """
 
-import argparse
-import json
 import tempfile
-import warnings
 from pathlib import Path
-from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -21,35 +17,17 @@ from torch.utils.data import DataLoader
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import light_from_angles
 from facerelight.model.statistics import FaceStatistics
-from facerelight.numerics.gaussian import NumericalWarning
 from facerelight.numerics.shrinkage import KINDS
 from facerelight.train.dataset import make_dataset
-from facerelight.viewpoint.regions import GroupRelighter, GroupRelit, group_by_correlation, make_regions, random_groups
+from facerelight.viewpoint.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
+from facerelight.viewpoint.thesis import PrintedGroups
 from facerelight.viewpoint.views import LightViews
 
 SOURCE, TARGET = (70.0, 0.0), (0.0, 0.0)
-# (5.2) inverts S1 C_n S1^T + C_v0, with the deviation's covariance at the output light; it must be C_v1
-PRINTED = "as printed"
-
-
-class PrintedGroups(GroupRelighter):
-    """The thesis's (5.2) to the letter, one input, sample covariance; its variances may come out negative."""
-
-    def __call__(self, *arguments: Any) -> GroupRelit:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NumericalWarning)
-            return super().__call__(*arguments)
-
-    def _covariance(
-        self, fields: torch.Tensor, local: torch.Tensor, outputs: torch.Tensor, inputs: torch.Tensor
-    ) -> torch.Tensor:
-        right = super()._covariance(fields, local, outputs, inputs)
-        swapped = torch.stack((fields[0], fields[1][[0, 0]]))
-        r = outputs.shape[1]
-        right[:, r:, r:] = super()._covariance(swapped, local[:1, :1].expand_as(local), outputs, inputs)[:, r:, r:]
-        return right
+PRINTED = "as printed"  # instead of a kind of covariance: the thesis's (5.2), see PrintedGroups
 
 
 def render(config: TrainConfig, folder: Path) -> torch.Tensor:
@@ -64,13 +42,12 @@ def render(config: TrainConfig, folder: Path) -> torch.Tensor:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--counts", type=int, nargs="+", default=[40, 100, 400, 1000], help="bootstrap sizes N")
     parser.add_argument("--sizes", type=int, nargs="+", default=[1, 2, 5, 10, 30], help="pixels a group r")
     parser.add_argument("--people", type=int, default=20, help="held-out heads")
     parser.add_argument("--lights", type=int, default=20)
-    parser.add_argument("--height", type=int, default=48)
-    parser.add_argument("--width", type=int, default=42)
+    parser.add_size(48, 42)
     parser.add_argument(
         "--kernel-width",
         type=float,
@@ -78,7 +55,7 @@ def main() -> None:
         help="of the lights' kernel; narrow: both lights are bootstrap lights",
     )
     parser.add_argument("--cache", default=None)
-    parser.add_argument("--json", default=None)
+    parser.add_results("json")
     parser.add_argument("--figure", default=None)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -128,10 +105,8 @@ def main() -> None:
                         | {"promised_rmse": promised, "log_det_per_pixel": log_det}
                     )
                     print(rows[-1], flush=True)
-    if args.json:
-        Path(args.json).write_text(
-            json.dumps({"people": args.people, "size": [args.height, args.width], "results": rows}, indent=2)
-        )
+    report = {"people": args.people, "size": [args.height, args.width], "results": rows}
+    parser.save_report(args.json, report)
     if args.figure:
         draw(rows, args.figure)
 

@@ -1,9 +1,8 @@
 """What simulating only the effects a scene calls for saves: work run and skipped, and time against the full simulation.
 
-python scripts/measure_effects.py --heads 5 --lights 40
+python scripts/measure/effects.py --heads 5 --lights 40
 """
 
-import argparse
 import statistics
 import time
 from collections import Counter
@@ -14,14 +13,16 @@ from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.effects import EFFECTS
 from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.config import DEFAULT_CONFIG
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import even_hemisphere
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--heads", type=int, default=5)
     parser.add_argument("--lights", type=int, default=40)
     parser.add_argument("--supersample", type=int, default=DEFAULT_CONFIG.supersample)
+    parser.add_results("csv")
     args = parser.parse_args()
     torch.set_num_threads(1)
     lights = even_hemisphere(args.lights)
@@ -45,11 +46,10 @@ def main() -> None:
         seconds["all"] += ended - middle
         largest = max(largest, float((a.images - b.images).abs().max()))
         work.update(a.work)
-    print("| effect | passes run | passes skipped | pixels run | pixels skipped |")
-    print("|---|---|---|---|---|")
-    for effect in EFFECTS:
-        counts = [work[f"{effect} {what}"] for what in ("passes run", "passes skipped", "pixels run", "pixels skipped")]
-        print(f"| {effect} | " + " | ".join(f"{count:,}" for count in counts) + " |")
+    counted = ("passes run", "passes skipped", "pixels run", "pixels skipped")
+    rows = [{"effect": effect, **{what: work[f"{effect} {what}"] for what in counted}} for effect in EFFECTS]
+    print(markdown(rows))
+    parser.save_rows(args.csv, rows)
     per_light = {name: 1000 * s / args.heads / args.lights for name, s in seconds.items()}
     print(
         f"\n{args.heads} heads x {args.lights} lights: {per_light['auto']:.1f} ms an image,"

@@ -1,23 +1,22 @@
 """Draw the counterparts of the thesis's figures from rendered heads, with an index page that says what each shows and
 whether it agrees.
 
-python scripts/reproduce_figures.py --output figures/
+python scripts/figures/reproduce_figures.py --output figures/
 """
 
-import argparse
 import html
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from evaluate_groups import PRINTED, PrintedGroups
 from matplotlib.figure import Figure
 from PIL import Image
 from torch import Tensor
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
+from facerelight.evaluation.results import ScriptParser
 from facerelight.evaluation.visualize import contact_sheet, needle_map
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
@@ -27,9 +26,11 @@ from facerelight.numerics.mixture import draw_mixture, histogram_mode
 from facerelight.train.dataset import make_dataset
 from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
 from facerelight.viewpoint.regions import GroupRelighter, group_by_correlation, make_regions, random_groups
+from facerelight.viewpoint.thesis import PrintedGroups
 from facerelight.viewpoint.views import LightViews
 
 STRANGERS = 3
+PRINTED = "as printed"
 
 
 def light(azimuth: float, elevation: float = 0.0) -> Tensor:
@@ -296,12 +297,11 @@ def poses(world: World, out: Path) -> list[tuple[str, str, str]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ScriptParser(__file__, __doc__)
     parser.add_argument("--output", type=Path, required=True, help="folder for the pictures and index.html")
     parser.add_argument("--heads", type=int, default=100)
     parser.add_argument("--lights", type=int, default=40)
-    parser.add_argument("--height", type=int, default=64)
-    parser.add_argument("--width", type=int, default=56)
+    parser.add_size(64, 56)
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
     world = World(args.heads, args.lights, args.height, args.width, args.output / "views")

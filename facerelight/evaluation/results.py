@@ -1,0 +1,131 @@
+"""What the scripts share: how results are asked for, shown as a table, and kept together with how they came about."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+
+__all__ = ["ScriptParser", "machine", "markdown", "read_rows"]
+
+FACES = "yaleb_192x168.npz or a CroppedYale folder"
+
+
+class ScriptParser(ArgumentParser):
+    """Options of a script, and its results.
+
+    ``--csv`` and ``--json`` take a file; without one they mean ``scripts/results/NAME.csv`` and ``NAME.json``, NAME
+    being the script's. Whatever is saved says by which command, when, on which machine and at which commit it came
+    about; the commit is that of the start.
+
+    Args:
+        file: ``__file__`` of the script.
+        doc: its docstring.
+    """
+
+    def __init__(self, file: str, doc: str | None) -> None:
+        super().__init__(prog=Path(file).name, description=doc, formatter_class=RawDescriptionHelpFormatter)
+        self.file = Path(file).resolve()
+        self.commit = _commit(self.file.parent)
+
+    def add_faces(self, required: bool = True, more: str = "") -> None:
+        """``--data``: Extended Yale B."""
+        self.add_argument("--data", type=Path, required=required, default=None, help=FACES + more)
+
+    def add_size(self, height: int, width: int) -> None:
+        """``--height`` and ``--width`` of the images in pixels."""
+        self.add_argument("--height", type=int, default=height)
+        self.add_argument("--width", type=int, default=width)
+
+    def add_results(self, *kinds: str) -> None:
+        """``--csv``, ``--json`` or both."""
+        for kind in kinds:
+            place = self.file.parents[1] / "results" / f"{self.file.stem}.{kind}"
+            what = f"keep the results; without a file in scripts/results/{place.name}"
+            self.add_argument(f"--{kind}", type=Path, nargs="?", const=place, default=None, metavar="FILE", help=what)
+
+    def made(self) -> dict[str, str]:
+        """How results came about: ``command``, ``date``, ``machine``, ``commit``."""
+        script = self.file.relative_to(self.file.parents[2]).as_posix()
+        return {
+            "command": f"python {script} {' '.join(map(_shown, sys.argv[1:]))}".strip(),
+            "date": str(datetime.date.today()),
+            "machine": machine(),
+            "commit": self.commit,
+        }
+
+    def save_rows(self, path: Path | None, rows: Sequence[Mapping[str, object]]) -> None:
+        """Rows as CSV under ``# command: ...`` and so on, a column a key of any row; nothing where there is no path."""
+        if path is None:
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="") as file:
+            file.writelines(f"# {name}: {value}\n" for name, value in self.made().items())
+            columns = dict.fromkeys(key for row in rows for key in row)
+            writer = csv.DictWriter(file, list(columns), restval="", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+    def save_report(self, path: Path | None, report: dict | list) -> None:
+        """A report as JSON, with :meth:`made` as its ``made``, or as that of each of its parts where it is a list.
+        Nothing where there is no path."""
+        if path is None:
+            return
+        made = {"made": self.made()}
+        whole = [part | made for part in report] if isinstance(report, list) else report | made
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(whole, indent=2) + "\n")
+
+
+def read_rows(path: str | Path) -> list[dict[str, str]]:
+    """The rows that :meth:`ScriptParser.save_rows` wrote, as text."""
+    with Path(path).open(newline="") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("# ")))
+
+
+def markdown(rows: Sequence[Mapping[str, object]], bold: str | None = None) -> str:
+    """Rows as a Markdown table; of the column ``bold`` what has a ``default`` in its row stands out, and the column
+    ``default`` is left out."""
+    columns = [key for key in dict.fromkeys(key for row in rows for key in row) if not (bold and key == "default")]
+    lines = ["| " + " | ".join(column.replace("_", " ") for column in columns) + " |", "|" + "---|" * len(columns)]
+    for row in rows:
+        shown = {**row, bold: f"**{row[bold]}**"} if bold and row.get("default") else row
+        lines.append("| " + " | ".join(str(shown.get(column, "")) for column in columns) + " |")
+    return "\n".join(lines)
+
+
+def machine() -> str:
+    """The processor, how many cores there are, and how many threads this process uses."""
+    return f"{_processor()}, {os.cpu_count()} cores, threads used: {torch.get_num_threads()}"
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo") as file:
+            return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def _commit(folder: Path) -> str:
+    asked = ["git", "describe", "--always", "--dirty", "--abbrev=7"]
+    try:
+        said = subprocess.run(asked, cwd=folder, capture_output=True, text=True).stdout.strip()
+    except OSError:
+        said = ""
+    return said or "unknown"
+
+
+def _shown(word: str) -> str:
+    """An argument as it is told: of an absolute path, which means nothing elsewhere, the last part."""
+    return shlex.quote(Path(word).name if Path(word).is_absolute() else word)
