@@ -212,7 +212,8 @@ def test_every_knob_is_listed_with_its_default() -> None:
     config = TrainConfig()
     text = (ROOT / "configs" / "README.md").read_text()
     listed = dict(re.findall(r"^\| (`[^|]*`) \| ([^|]*) \|", text, re.M))
-    known = {name: value for names, values in listed.items() for name, value in zip(*map(_parts, (names, values)))}
+    pairs = [zip(_parts(names), _parts(values), strict=True) for names, values in listed.items()]
+    known = {name: value for pair in pairs for name, value in pair}
     expected = {field.name: getattr(config, field.name) for field in fields(config)}
     expected |= {f"fit.{field.name}": getattr(config.fit, field.name) for field in fields(config.fit)}
     del expected["fit"], expected["domain"]
