@@ -1,39 +1,78 @@
-"""The plot of accuracy against time: a frontier on top, and below it small multiples, one panel a knob."""
+"""The plot of accuracy against time: the frontier on top, and below it small multiples, one panel a knob."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.transforms import Bbox
 
-__all__ = ["Point", "draw_trade_off", "frontier"]
+__all__ = ["Point", "Table", "draw_trade_off", "frontier"]
 
-Row = Mapping[str, object]
-
-LINE, DEFAULT, CONTEXT, BAND = "#1f6fb4", "#c8361d", "#c9c9c9", "#f1e3cf"
-SMALL = 7.0  # points, of all text but titles
-COLUMNS = 4
+BLUE, RED, GREY, BAND = "#1f6fb4", "#c8361d", "#c4c4c4", "#f3e6d3"
+TEXT, HEADING = 7.5, 10.0  # points
+WIDTH, LEFT, COLUMNS = 10.8, 0.12, 3  # inches; panels side by side
+ROW, WRAPPED = 0.175, 0.27  # inches of a value; of one whose name takes two lines
+ABOVE, BELOW = 0.3, 0.34  # inches of a panel's title and of its ticks
+LABELS, STRIP, GAP = 1.2, 0.98, 0.08  # inches: values, error or time, between them
+FRONTIER = 2.1  # inches
+LETTERS = 25  # of a value in one line
+LEGEND = "star: the default; band: what it took, from least to most, each time that it was measured"
 TIMES = tuple(digit * 10**power for power in range(5) for digit in (1, 2, 5))
-WIDE = "light unknown"  # the knob whose values have long names
-OWN_SCALE = ("input images", "pixels a group", WIDE)
-"""Knobs whose rows are not comparable with the others: several inputs, or fewer people."""
 
 
 class Point(NamedTuple):
-    """A setting: its knob's ``value``, ``cost`` in milliseconds, ``error``; whether it is a ``default``, or ``apart``:
-    measured on fewer people."""
+    """A setting of a knob: its ``cost`` in milliseconds and its ``error``; whether it is the ``default``, and whether
+    it was measured on ``fewer`` people than others."""
 
     knob: str
     value: str
     cost: float
     error: float
     default: bool
-    apart: bool
+    fewer: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """What one frontier and its panels show.
+
+    Args:
+        title: above all.
+        rows: with ``knob``, ``value`` and ``default``, and ``people`` where some were measured on fewer.
+        error: the column of errors, and what it is called, at length and in short.
+        cost: the column of milliseconds, and what it is called.
+        apart: knobs that change what is known of a face, and so have scales of their own.
+    """
+
+    title: str
+    rows: Sequence[Mapping[str, object]]
+    error: tuple[str, str, str]
+    cost: tuple[str, str]
+    apart: tuple[str, ...] = ()
+
+    def points(self) -> list[Point]:
+        """One a row; the first is the default of all knobs."""
+        people = [int(str(row.get("people") or 0)) for row in self.rows]
+        return [
+            Point(
+                str(row["knob"]),
+                str(row["value"]),
+                float(str(row[self.cost[0]])),
+                float(str(row[self.error[0]])),
+                bool(row["default"]),
+                number < max(people),
+            )
+            for row, number in zip(self.rows, people, strict=True)
+        ]
 
 
 def frontier(points: Sequence[Point]) -> list[Point]:
@@ -46,196 +85,218 @@ def frontier(points: Sequence[Point]) -> list[Point]:
     return kept
 
 
-def draw_trade_off(relighting: Sequence[Row], recognition: Sequence[Row], path: str | Path) -> None:
-    """Draw the tables of ``scripts/measure/accuracy_vs_time.py``.
-
-    Args:
-        relighting: rows with ``knob``, ``value``, ``default``, ``rmse_side``, ``milliseconds`` and ``people``.
-        recognition: rows with ``knob``, ``value``, ``default``, ``error`` and ``enrol_ms``.
-        path: of the picture.
-    """
-    relit, known = _points(relighting, "milliseconds", "rmse_side"), _points(recognition, "enrol_ms", "error")
-    shared = [point for point in relit if not point.apart and point.knob not in OWN_SCALE]
-    knobs = list(dict.fromkeys(point.knob for point in shared))
-    own = [knob for knob in OWN_SCALE if any(point.knob == knob for point in relit)]
-    asked = list(dict.fromkeys(point.knob for point in known))
-    rows = [2.0] + [1.0] * (-(-len(knobs) // COLUMNS)) + [1.0] * bool(own) + [0.28] + [1.0] * -(-(len(asked) + 3) // 4)
-    figure = Figure(figsize=(10.5, 1.0 + 1.62 * sum(rows)), dpi=110)
-    grid = GridSpec(len(rows), COLUMNS, figure, height_ratios=rows, hspace=0.55, wspace=0.16)
-    top = 1 - 0.62 / figure.get_figheight()
-    grid.update(left=0.055, right=0.985, top=top, bottom=0.5 / figure.get_figheight())
-    figure.text(0.055, 1 - 0.25 / figure.get_figheight(), "Relighting", fontsize=12, weight="bold", va="center")
-
-    start, band = relit[0], _band(relit)
-    low, high = _limits([point.error for point in shared])
-    times = _reach([point.cost for point in shared])
-    axis = figure.add_subplot(grid[0, :])
-    _frontier_panel(axis, shared, start, band, times, (low, high))
-    axis.set_ylabel("RMSE from a side-lit input,\ngrey levels", fontsize=SMALL + 1)
-    axis.set_xlabel("milliseconds for one image and twelve lights", fontsize=SMALL + 1)
-    last = len(knobs) - COLUMNS
-    for index, knob in enumerate(knobs):
-        axis = figure.add_subplot(grid[1 + index // COLUMNS, index % COLUMNS])
-        _knob_panel(axis, knob, shared, start, band, times, (low, high), context=shared)
-        axis.tick_params(labelleft=index % COLUMNS == 0, labelbottom=index >= last)
-    place, row = 0, 1 + -(-len(knobs) // COLUMNS)
-    for knob in own:
-        width = 2 if knob == WIDE else 1
-        axis = figure.add_subplot(grid[row, place : place + width])
-        place += width
-        chosen = [point for point in relit if point.knob == knob]
-        _knob_panel(
-            axis, knob, chosen, start, band, _reach([p.cost for p in chosen]), _limits([p.error for p in chosen])
-        )
-    row += bool(own)
-
-    title = figure.add_subplot(grid[row, :])
-    title.axis("off")
-    title.text(0, 0, "Recognition", fontsize=12, weight="bold", transform=title.transAxes)
-    row += 1
-    times, limits = _reach([point.cost for point in known]), _limits([point.error for point in known])
-    axis = figure.add_subplot(grid[row, : COLUMNS - 1])
-    _frontier_panel(axis, known, known[0], None, times, limits)
-    axis.set_ylabel("rank-1 errors, percent", fontsize=SMALL + 1)
-    axis.set_xlabel("milliseconds to enrol a person", fontsize=SMALL + 1)
-    for index, knob in enumerate(asked, COLUMNS - 1):
-        axis = figure.add_subplot(grid[row + index // COLUMNS, index % COLUMNS])
-        _knob_panel(axis, knob, known, known[0], None, times, limits, context=known)
+def draw_trade_off(tables: Sequence[Table], path: str | Path) -> None:
+    """One table below the other, into a picture."""
+    parts = [_Part(table) for table in tables]
+    height = sum(part.height for part in parts)
+    figure = Figure(figsize=(WIDTH, height), dpi=110)
+    top = height
+    for part in parts:
+        part.draw(figure, top)
+        top -= part.height
     figure.savefig(path)
 
 
-def _points(rows: Sequence[Row], cost: str, error: str) -> list[Point]:
-    most = max((int(str(row["people"])) for row in rows if row.get("people")), default=0)
-    return [
-        Point(
-            str(row["knob"]),
-            str(row["value"]),
-            float(str(row[cost])),
-            float(str(row[error])),
-            bool(row["default"]),
-            0 < int(str(row.get("people") or 0)) < most,
+class _Part:
+    """A table's frontier and panels, and where they go."""
+
+    def __init__(self, table: Table) -> None:
+        self.table, self.points = table, table.points()
+        self.knobs = {p.knob: [q for q in self.points if q.knob == p.knob] for p in self.points}
+        fewer = {knob for knob, points in self.knobs.items() if any(point.fewer for point in points)}
+        self.apart = fewer | set(table.apart)
+        self.shared = [point for point in self.points if point.knob not in self.apart]
+        self.columns = _columns({knob: _panel_height(points) for knob, points in self.knobs.items()})
+        panels = max(sum(_panel_height(self.knobs[knob]) for knob in column) for column in self.columns)
+        self.height = 0.75 + FRONTIER + 0.5 + panels + 0.1
+
+    def draw(self, figure: Figure, top: float) -> None:
+        """From ``top`` inches above the figure's foot downwards."""
+        tall = figure.get_figheight()
+        figure.text(LEFT / WIDTH, (top - 0.28) / tall, self.table.title, fontsize=13, weight="bold", va="center")
+        told = LEGEND + ("; hollow: measured on fewer people" if any(p.fewer for p in self.points) else "")
+        figure.text(1 - 0.18 / WIDTH, (top - 0.28) / tall, told, fontsize=TEXT + 0.5, ha="right", va="center")
+        foot = top - 0.75 - FRONTIER
+        axis = figure.add_axes((0.62 / WIDTH, foot / tall, (WIDTH - 0.8) / WIDTH, FRONTIER / tall))
+        self._frontier(axis)
+        for column, knobs in enumerate(self.columns):
+            left, place = LEFT + column * (WIDTH - 2 * LEFT) / COLUMNS, foot - 0.5
+            for knob in knobs:
+                place -= _panel_height(self.knobs[knob])
+                self._panel(figure, knob, left, place)
+
+    def _frontier(self, axis: Axes) -> None:
+        times = _span([point.cost for point in self.shared], 0.04)
+        _times(axis, times)
+        axis.set_ylim(*_span_linear([point.error for point in self.shared], 0.12))
+        axis.grid(color="#eeeeee", linewidth=0.6)
+        self._band(axis)
+        best, start = frontier(self.shared), self.points[0]
+        steps = [*best, best[-1]._replace(cost=times[1])]
+        axis.plot([p.cost for p in self.shared], [p.error for p in self.shared], "o", color=GREY, markersize=4)
+        axis.step([p.cost for p in steps], [p.error for p in steps], color=BLUE, where="post", linewidth=1.3)
+        axis.plot([p.cost for p in best], [p.error for p in best], "o", color=BLUE, markersize=5.5, zorder=4)
+        axis.plot(start.cost, start.error, "*", color=RED, markersize=13, zorder=5)
+        axis.set_xlabel(self.table.cost[1], fontsize=TEXT + 1)
+        axis.set_ylabel(self.table.error[1], fontsize=TEXT + 1)
+        title = "every setting (grey) and the frontier (blue): what no cheaper setting beats"
+        axis.set_title(title, fontsize=HEADING, loc="left", pad=4)
+        names = [("default", start, RED)]
+        names += [(f"{p.knob} {p.value}", p, BLUE) for p in best if (p.cost, p.error) != (start.cost, start.error)]
+        _name_points(axis, names, self.shared, steps)
+
+    def _band(self, axis: Axes) -> None:
+        """From the least to the most that the default itself took, each time that it was measured."""
+        taken = [p.cost for p in self.shared if p.default and p.error == self.points[0].error]
+        axis.axvspan(min(taken), max(taken), color=BAND, linewidth=0, zorder=0)
+
+    def _panel(self, figure: Figure, knob: str, left: float, foot: float) -> None:
+        """Values below each other, and beside them error and time."""
+        tall, points = figure.get_figheight(), self.knobs[knob]
+        among = points if knob in self.apart else self.shared
+        row = _row_height(points)
+        axes = [
+            figure.add_axes((x / WIDTH, (foot + BELOW) / tall, STRIP / WIDTH, row * len(points) / tall))
+            for x in (left + LABELS + GAP, left + LABELS + STRIP + 3 * GAP)
+        ]
+        figure.text(
+            (left + 0.15) / WIDTH,
+            (foot + BELOW + row * len(points) + 0.06) / tall,
+            knob,
+            fontsize=HEADING,
+            weight="bold",
         )
-        for row in rows
-    ]
+        places = range(len(points), 0, -1)
+        for axis in axes:
+            axis.set_ylim(0.4, len(points) + 0.6)
+            axis.yaxis.set_major_locator(FixedLocator(list(places)))
+            axis.grid(axis="y", color="#e6e6e6", linewidth=0.6)
+        error, cost = axes
+        error.set_yticklabels(["\n".join(textwrap.wrap(point.value, LETTERS)) for point in points], fontsize=TEXT)
+        cost.set_yticklabels([])
+        error.set_xlim(*_span_linear([point.error for point in among], 0.1, more=0.3))
+        error.xaxis.set_major_locator(MaxNLocator(3))
+        _times(cost, _span([point.cost for point in among], 0.1, more=0.36), few=True)
+        if knob not in self.apart:
+            self._band(cost)
+        for axis in axes:
+            axis.tick_params(labelsize=TEXT - 0.5, length=2, pad=2)
+            axis.tick_params(axis="y", labelsize=TEXT, length=0)
+            for side in ("top", "right"):
+                axis.spines[side].set_visible(False)
+        cost.set_xlabel("ms", fontsize=TEXT - 0.5, labelpad=1)
+        error.set_xlabel(self.table.error[2], fontsize=TEXT - 0.5, labelpad=1)
+        for point, place in zip(points, places, strict=True):
+            colour = RED if point.default else BLUE
+            texts = (f"{point.error:.1f}", _short(point.cost))
+            for axis, value, text in zip(axes, (point.error, point.cost), texts, strict=True):
+                mark, size = ("*", 9.0) if point.default else ("o", 4.5)
+                face = "white" if point.fewer else colour
+                axis.plot(value, place, mark, color=colour, markersize=size, markerfacecolor=face)
+                axis.annotate(
+                    text,
+                    (value, place),
+                    (6 if point.default else 5, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=TEXT,
+                    color=colour,
+                )
 
 
-def _band(points: Sequence[Point]) -> tuple[float, float]:
-    """From the least to the most that the default itself took, each time that it was measured."""
-    taken = [point.cost for point in points if point.default and point.error == points[0].error]
-    return min(taken), max(taken)
+def _columns(heights: Mapping[str, float]) -> list[list[str]]:
+    """Panels in columns of about one height, in the order of the table."""
+    columns: list[list[str]] = [[]]
+    share, filled = sum(heights.values()) / COLUMNS, 0.0
+    for knob, height in heights.items():
+        if len(columns) < COLUMNS and columns[-1] and filled + height / 2 > share * len(columns):
+            columns.append([])
+        columns[-1].append(knob)
+        filled += height
+    return columns
 
 
-def _limits(values: Sequence[float]) -> tuple[float, float]:
+def _row_height(points: Sequence[Point]) -> float:
+    return WRAPPED if any(len(point.value) > LETTERS for point in points) else ROW
+
+
+def _panel_height(points: Sequence[Point]) -> float:
+    return ABOVE + _row_height(points) * len(points) + BELOW
+
+
+def _short(milliseconds: float) -> str:
+    """Milliseconds, or seconds with their unit, of two or three digits."""
+    return f"{milliseconds / 1000:.3g} s" if milliseconds >= 1000 else f"{milliseconds:.0f}"
+
+
+def _span_linear(values: Sequence[float], room: float, more: float = 0.0) -> tuple[float, float]:
+    """Limits of an axis, with a share of room at both ends, and more at the upper."""
     least, most = min(values), max(values)
-    room = 0.12 * (most - least or 1)
-    return least - room, most + room
+    width = most - least or 1.0
+    return least - room * width, most + (room + more) * width
 
 
-def _reach(values: Sequence[float]) -> tuple[float, float]:
-    """On a logarithmic axis, with room for labels at the right."""
-    least, most = min(values), max(values)
-    room = max(1.25, (most / least) ** 0.08)
-    return least / room, most * room * (most / least) ** 0.12
+def _span(values: Sequence[float], room: float, more: float = 0.0) -> tuple[float, float]:
+    """The same on a logarithmic axis."""
+    low, high = _span_linear([float(np.log(value)) for value in values], room, more)
+    return float(np.exp(low)), float(np.exp(high))
 
 
-def _axes(axis: Axes, times: tuple[float, float], errors: tuple[float, float]) -> None:
+def _times(axis: Axes, limits: tuple[float, float], few: bool = False) -> None:
+    """A logarithmic axis with whole numbers."""
     axis.set_xscale("log")
-    axis.set_xlim(*times)
-    axis.set_ylim(*errors)
-    ticks = [time for time in TIMES if times[0] <= time <= times[1]]
-    if len(ticks) > 6:
+    axis.set_xlim(*limits)
+    ticks = [time for time in TIMES if limits[0] <= time <= limits[1]]
+    if few and len(ticks) > 3:
         ticks = [time for time in ticks if str(time)[0] == "1"]
     axis.xaxis.set_major_locator(FixedLocator(ticks))
     axis.xaxis.set_minor_locator(NullLocator())
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    axis.tick_params(labelsize=SMALL, length=2, pad=2)
-    axis.grid(color="#eeeeee", linewidth=0.6)
+    shown = _short if few else "{:,.0f}".format
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: shown(value)))
+    axis.tick_params(labelsize=TEXT)
     axis.set_axisbelow(True)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
 
 
-def _frontier_panel(
-    axis: Axes,
-    points: Sequence[Point],
-    start: Point,
-    band: tuple[float, float] | None,
-    times: tuple[float, float],
-    errors: tuple[float, float],
+def _name_points(
+    axis: Axes, names: Sequence[tuple[str, Point, str]], points: Sequence[Point], steps: Sequence[Point]
 ) -> None:
-    _axes(axis, times, errors)
-    if band:
-        axis.axvspan(*band, color=BAND, linewidth=0, zorder=0)
-    best = frontier(points)
-    axis.plot([p.cost for p in points], [p.error for p in points], "o", color=CONTEXT, markersize=4, zorder=2)
-    steps = [*best, best[-1]._replace(cost=times[1])]
-    axis.step([p.cost for p in steps], [p.error for p in steps], color=LINE, where="post", linewidth=1.2, zorder=3)
-    axis.plot([p.cost for p in best], [p.error for p in best], "o", color=LINE, markersize=5, zorder=4)
-    axis.plot(start.cost, start.error, "*", color=DEFAULT, markersize=12, zorder=5)
-    axis.set_title("the frontier: what no cheaper setting beats", fontsize=SMALL + 2, loc="left", pad=4)
-    names = {(p.cost, p.error): f"{p.knob}: {p.value}" for p in best}
-    names[start.cost, start.error] = "default"
-    _label(axis, names)
-
-
-def _knob_panel(
-    axis: Axes,
-    knob: str,
-    points: Sequence[Point],
-    start: Point,
-    band: tuple[float, float] | None,
-    times: tuple[float, float],
-    errors: tuple[float, float],
-    context: Sequence[Point] = (),
-) -> None:
-    _axes(axis, times, errors)
-    if band:
-        axis.axvspan(*band, color=BAND, linewidth=0, zorder=0)
-    axis.plot([p.cost for p in context], [p.error for p in context], "o", color=CONTEXT, markersize=2, zorder=2)
-    chosen = [point for point in points if point.knob == knob]
-    if all(point.value.replace(".", "").isdigit() for point in chosen):
-        axis.plot([p.cost for p in chosen], [p.error for p in chosen], color=LINE, linewidth=0.9, zorder=3)
-    for point in chosen:
-        face = "white" if point.apart else LINE
-        mark: dict[str, object] = {"color": LINE, "markerfacecolor": face, "markersize": 4.5}
-        if point.default:
-            mark = {"color": DEFAULT, "markerfacecolor": "white" if point.apart else DEFAULT, "markersize": 9}
-        axis.plot(point.cost, point.error, "*" if point.default else "o", zorder=4, **mark)  # type: ignore[arg-type]
-    if not any(point.default for point in chosen) and context:
-        axis.plot(start.cost, start.error, "*", color=DEFAULT, markersize=9, zorder=4)
-    axis.set_title(knob, fontsize=SMALL + 1.5, loc="left", pad=3)
-    _label(axis, {(p.cost, p.error): p.value for p in chosen})
-
-
-def _label(axis: Axes, names: Mapping[tuple[float, float], str]) -> None:
-    """Names beside their points, moved up and down until none lies on another; lines lead to those that moved far."""
-    axis.figure.canvas.draw()
+    """Write names near their points where they cover neither points, nor the frontier, nor each other."""
     scale = axis.figure.dpi / 72
-    height, gap = SMALL * 1.15 * scale, 6 * scale
-    box = axis.get_window_extent()
-    placed: list[tuple[float, float, float, float, str]] = []
-    for point, name in sorted(names.items(), key=lambda item: item[0][1]):
-        x, y = axis.transData.transform(point)
-        width = 0.52 * SMALL * scale * len(name)
-        right = x + gap + width < box.x1 + 4 * scale
-        left = x + gap if right else x - gap - width
-        spot = y
-        for _ in range(60):
-            hits = [p for p in placed if abs(p[1] - spot) < height and p[0] < left + width and left < p[0] + p[2]]
-            if not hits:
+    corners = [p for a, b in pairwise(steps) for p in ((a.cost, a.error), (b.cost, a.error))]
+    line = axis.transData.transform([*corners, (steps[-1].cost, steps[-1].error)])
+    pieces = [a + (b - a) * t for a, b in pairwise(line) for t in np.linspace(0, 1, 100)]
+    taken = np.vstack([axis.transData.transform([(p.cost, p.error) for p in points]), *[p[None] for p in pieces]])
+    placed: list[Bbox] = []
+    inside = axis.bbox
+    for name, point, colour in names:
+        at = axis.transData.transform((point.cost, point.error))
+        width, height = 0.56 * TEXT * scale * len(name), 1.25 * TEXT * scale
+        for x, y in _around(width, height, scale):
+            box = Bbox.from_bounds(at[0] + x - width / 2, at[1] + y - height / 2, width, height)
+            grown = Bbox.from_extents(box.x0 - 3, box.y0 - 3, box.x1 + 3, box.y1 + 3)
+            within = inside.x0 < box.x0 and box.x1 < inside.x1 and inside.y0 < box.y0 and box.y1 < inside.y1
+            if within and not grown.count_contains(taken) and not any(grown.overlaps(other) for other in placed):
                 break
-            spot = max(p[1] for p in hits) + height
-        placed.append((left, spot, width, y, name))
-        back = axis.transData.inverted()
+        placed.append(box)
+        far = float(np.hypot(x, y)) > 2.2 * height
         axis.annotate(
             name,
-            point,
-            back.transform((left if right else left + width, spot)),
-            fontsize=SMALL,
+            (point.cost, point.error),
+            (x / scale, y / scale),
+            textcoords="offset points",
+            ha="center",
             va="center",
-            ha="left" if right else "right",
-            zorder=6,
-            arrowprops={"arrowstyle": "-", "color": "#999999", "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2}
-            if abs(spot - y) > height
-            else None,
+            fontsize=TEXT + 0.5,
+            color=colour,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkB": 4} if far else None,
         )
+
+
+def _around(width: float, height: float, scale: float) -> Iterator[tuple[float, float]]:
+    """Places of a name's middle, in pixels from its point, near ones first."""
+    for away in (9, 16, 24, 34, 46, 60):
+        reach = away * scale
+        for x, y in ((0, -1), (0, 1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1)):
+            yield x * (reach + width / 2), y * (reach + height / 2 if not x else reach)

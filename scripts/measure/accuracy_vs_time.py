@@ -29,7 +29,7 @@ from facerelight.config import DEFAULT_CONFIG, QUALITIES, TrainConfig
 from facerelight.evaluation.cost import paired, peak_memory_mb
 from facerelight.evaluation.datasets import load_yale, to_grid
 from facerelight.evaluation.results import ScriptParser, markdown, read_rows
-from facerelight.evaluation.trade_off import draw_trade_off
+from facerelight.evaluation.trade_off import Table, draw_trade_off
 from facerelight.geometry.lights import (
     angle_grid,
     even_hemisphere,
@@ -552,7 +552,20 @@ def save(tables: dict[str, list[dict]], folder: Path) -> None:
             writer.writeheader()
             writer.writerows(rows)
         (folder / f"{name}.md").write_text(markdown(rows, bold="value") + "\n")
-    draw_trade_off(tables["relighting"], tables["recognition"], folder / "trade_off.png")
+    relit = Table(
+        "Relighting",
+        tables["relighting"],
+        error=("rmse_side", "RMSE from a side-lit input,\ngrey levels", "RMSE"),
+        cost=("milliseconds", "milliseconds for one image and twelve lights"),
+        apart=("input images", "light unknown"),
+    )
+    known = Table(
+        "Recognition",
+        tables["recognition"],
+        error=("error", "rank-1 errors, percent", "percent wrong"),
+        cost=("enrol_ms", "milliseconds to enrol a person"),
+    )
+    draw_trade_off([relit, known], folder / "trade_off.png")
 
 
 def main() -> None:

@@ -33,7 +33,7 @@ def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
 
 
 def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:
-    script = Path(__file__).parents[2] / "scripts" / "accuracy_vs_time.py"
+    script = Path(__file__).parents[2] / "scripts" / "measure" / "accuracy_vs_time.py"
     command = [sys.executable, str(script), "--quick", "--output", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200)
     assert done.returncode == 0, done.stderr
