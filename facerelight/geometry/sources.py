@@ -18,7 +18,7 @@ from torch import Tensor
 from facerelight.geometry.lights import even_hemisphere, light_from_angles
 from facerelight.numerics.luminance import LUMINANCE
 
-__all__ = ["Lamp", "LightMixture", "fill_light", "scene_light"]
+__all__ = ["Lamp", "LightMixture", "fill_light", "lights_behind", "scene_light"]
 
 FILL_POINTS = 24
 # A dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
@@ -138,3 +138,10 @@ def scene_light(sources: Sequence[Lamp | LightMixture], fill: float = 0.0) -> Li
         numbers.append(part.source + first)
         first = int(numbers[-1].max()) + 1
     return LightMixture(directions, weights, size, torch.cat(numbers))
+
+
+def lights_behind(sources: Sequence[Lamp | LightMixture]) -> list[str]:
+    """What to say of lamps that stand behind the face, a line each."""
+    behind = [source.azimuth for source in sources if isinstance(source, Lamp) and abs(source.azimuth) > 90]
+    rim = "the lamp stands behind the face and lights its rim alone; fill says how much light comes from all around"
+    return [f"azimuth {azimuth:g}: {rim}" for azimuth in behind]

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Job", "Request", "choose_faces", "find_jobs", "relight_photo"]
 
+RESULT = "_relit"  # behind the name of a photo of a batch
 DEFAULT_OUTPUT, DEFAULT_FOLDER = "relit.png", "relit"
-BEHIND = "the lamp stands behind the face and lights its rim alone; --fill says how much light comes from all around"
 REMEDY = "say where it is with --landmarks x,y,x,y,x,y: eye at image-left, eye at image-right, mouth, in pixels"
 Say = Callable[[str], None]
 Load = Callable[[], "StatisticalRelighter"]
@@ -81,7 +81,7 @@ def find_jobs(
     jobs = []
     for photo, more in groups:
         suffix = photo.suffix if photo.suffix.lower() in SUFFIXES else ".png"
-        name = into / f"{photo.stem}_relit{suffix}" if batch or into.is_dir() else into
+        name = into / f"{photo.stem}{RESULT}{suffix}" if batch or into.is_dir() else into
         jobs.append(Job(photo, more, tuple(scene_paths(name, scenes)), Path(variance) if variance else None))
     _check_outputs(jobs, paths, force)
     return jobs
@@ -114,8 +114,9 @@ def relight_photo(job: Job, request: Request, load: Load, say: Say) -> dict[str,
         report = _relight(job, request, photo, [other.pixels for other in more], chosen, relighter)
     report["stages"] = [*map(_stage, log.stages), *report["stages"]]
     lost = [f"{path.name}: {line}" for path in job.outputs[:1] for line in not_held(path, photo)]
-    lamps = [lamp for scene in request.scenes for lamp in scene.lamps]
-    behind = [f"azimuth {lamp.azimuth:g}: {BEHIND}" for lamp in lamps if abs(lamp.azimuth) > 90]
+    from facerelight.geometry.sources import lights_behind
+
+    behind = lights_behind([lamp for scene in request.scenes for lamp in scene.lamps])
     report["warnings"] = [*lost, *behind, *report["warnings"]]
     for line in report["warnings"]:
         say(f"{job.photo}: {line}")
@@ -159,7 +160,7 @@ def _chosen(
 
     for path, other in zip(job.more, more, strict=True):
         if not find_faces(eight_bits(other.pixels)):
-            raise LandmarksNotFoundError(f"{path}: found no face; --landmarks is of the first photo, leave it out")
+            raise LandmarksNotFoundError(f"found no face in {path}; leave it out, --landmarks is of the first photo")
     if request.landmarks is not None:
         return [(1, None)], 0
     chosen, count = choose_faces(eight_bits(photo.pixels), request.face)
@@ -198,7 +199,10 @@ def _relight(
             said.append(f"{path.name}: nothing was changed; no person was seen around the landmarks")
     written = [str(path) for path in job.outputs]
     if job.variance:
-        _write_map(job.variance, first.std(request.scenes[0].azimuth, request.scenes[0].elevation))
+        white = _write_map(job.variance, first.std(request.scenes[0].azimuth, request.scenes[0].elevation))
+        said.append(
+            f"{job.variance.name}: of the face alone; white is a standard deviation of {white:.3f}, of light 0 to 1"
+        )
         written.append(str(job.variance))
     facts[0] = _facts(first)  # with the stages that ran since
     report = {"method": request.method, "output": written, **facts[0], "warnings": list(dict.fromkeys(said))}
@@ -221,19 +225,27 @@ def _stage(stage: Stage) -> dict[str, Any]:
     return {**stage._asdict(), "seconds": round(stage.seconds, 4)}
 
 
-def _write_map(path: Path, std: np.ndarray) -> None:
-    """A grey picture of a map, white at its largest value."""
-    grey = (std / max(float(std.max()), 1e-12) * 255).round().astype(np.uint8)
+def _write_map(path: Path, std: np.ndarray) -> float:
+    """A grey picture of a map, white at its largest value, which is returned."""
+    white = max(float(std.max()), 1e-12)
+    grey = (std / white * 255).round().astype(np.uint8)
     write_photo(path, np.repeat(grey[..., None], 3, axis=2))
+    return white
 
 
 def _expand(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    found = find_photos(path)
+    found = [photo for photo in find_photos(path) if not _is_result(photo)]
     if not found:
         raise ValueError(f"{path}: expected a folder with photos ({', '.join(SUFFIXES)}), found none")
     return found
+
+
+def _is_result(photo: Path) -> bool:
+    """Whether a photo's name says that it was made of another one beside it, by an earlier run."""
+    source, mark, _ = photo.name.rpartition(RESULT)
+    return bool(mark) and any(photo.with_name(source + suffix).exists() for suffix in (*SUFFIXES, photo.suffix))
 
 
 def _check_outputs(jobs: Sequence[Job], photos: Sequence[Path], force: bool) -> None:

@@ -23,6 +23,7 @@ WARM = 0.03  # shade of skin is redder: light bleeds through it, red most of all
 RESTORED = 0.6  # of the luminance that a dimmed highlight leaves goes back as the skin's own colour
 LIFTED, MOST_TYPICAL = (0.3, 1.2), 0.8  # log ratios from which, and by which, the skin's typical colour takes over
 CAST = 0.7  # of a colour cast goes with the old light
+BLOWN = (0.75, 0.95)  # radiance from which, and at which, a camera has lost the colour that shade brings back
 KNEE, WHITEST = 0.75, 0.985  # linear: above the first what becomes brighter is rolled off, towards the second
 
 
@@ -101,6 +102,8 @@ def relit_radiance(scene: np.ndarray, log_ratio: np.ndarray, colour: SkinColour,
     # highlights die faster in shade and grow slower in light
     of_highlight = np.where(darker, np.exp(1.6 * log_ratio), 1 + 0.35 * (ratio - 1))
     body = _whitened(scene - highlight, colour.cast, CAST * change * colour.lit)
+    blown = np.clip((most_channel(scene) - BLOWN[0]) / (BLOWN[1] - BLOWN[0]), 0, 1) * colour.lit * change
+    body = body + blown[..., None] * np.clip(-2 * log_ratio, 0, 1) * ((body @ LUMA)[..., None] * colour.typical - body)
     lifted = np.clip((log_ratio - LIFTED[0]) / (LIFTED[1] - LIFTED[0]), 0, MOST_TYPICAL) * colour.lit[..., None]
     added = np.maximum(ratio - 1, 0) * lifted * ((body @ LUMA)[..., None] * colour.typical - body)
     relit = np.exp(log_ratio * tint) * body + added + of_highlight * highlight

@@ -19,17 +19,19 @@ from facerelight.photo.files.pixels import scale_of
 
 __all__ = ["Changes", "change_pixels"]
 
+MOST = 2.0  # times its cover is the largest share that a person may have in a pixel
 STRIP = 1 << 17  # pixels worked on at once
 
 
 class Changes(NamedTuple):
     """What happens to a window, on its copy: ``log_ratio (h, w, C)`` of scene radiance, the ``skin``, the person's
-    ``cover (h, w)`` in 0..1, ``change``, how surely the light is another, 0 to 1, and ``strength``, from 0 (nothing) to
-    1 (all of it)."""
+    ``cover (h, w)`` in 0..1, the ``ground (h, w, 3)`` behind, ``change``, how surely the light is another, 0 to 1, and
+    ``strength``, from 0 (nothing) to 1 (all of it)."""
 
     log_ratio: np.ndarray
     skin: SkinColour
     cover: np.ndarray
+    ground: np.ndarray
     change: float
     strength: float
 
@@ -50,20 +52,27 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
     def change(top: int) -> None:
         strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
         source = pixels[strip]
-        cover = _part(changes.cover, top, len(source), (height, width))[..., None] * np.float32(changes.strength)
+        cover = _part(changes.cover, top, len(source), (height, width))[..., None]
         if not cover.any():
             return
         maps = {name: _part(image, top, len(source), (height, width)) for name, image in per_pixel.items()}
         colour = changes.skin._replace(**maps)
         log_ratio = _part(changes.log_ratio, top, len(source), (height, width)).reshape(*cover.shape[:2], -1)
         scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
-        relit = relit_radiance(scene, log_ratio, colour, changes.change)
-        shown = to_display(scene + cover * (relit - scene), scene)
+        ground = _part(changes.ground, top, len(source), (height, width))
+        person = _of_person(scene, cover, ground)
+        relit = relit_radiance(person, log_ratio, colour, changes.change)
+        shown = to_display(scene + np.float32(changes.strength) * (relit - person), scene)
         out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         list(pool.map(change, range(0, height, rows)))
     return out
+
+
+def _of_person(scene: np.ndarray, cover: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """The person's share of radiance ``(h, w, 3)``: what is left of a pixel without the ground that shows beside it."""
+    return np.clip(scene - (1 - cover) * ground, 0, scene * np.minimum(MOST * cover, 1))
 
 
 def _coded(shown: np.ndarray, like: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ AROUND, HEARSAY = 0.1, 0.02  # units over which, and weight with which, the unsu
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
-DEEPER = 0.3  # than the face's own darkest shade, in log, the rest may become
+DEEPER, BRIGHTER = 0.3, 0.1  # than the face's own darkest and brightest, in log, the rest may become
 BUST_DARKEST, BUST_BRIGHTEST = -2.5, 0.8
 SOFT = 20.0  # degrees: a source as large as this has no edges to sharpen
 SAME_LIGHT = 0.05  # a change of the face's log ratio that is none
@@ -102,10 +102,11 @@ class LightRatio:
             + np.clip(level, -LEVEL, LEVEL)
             + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
         )
-        shade = (
-            float(np.quantile(inner[self.weight > 0.5], 0.05)) - DEEPER
-        )  # hair is hardly deeper in shade than the face
-        outer = np.clip(blur(np.maximum(outer, shade), 1.2), BUST_DARKEST, BUST_BRIGHTEST)
+        low, high = np.quantile(inner[self.weight > 0.5], (0.05, 0.95))
+        outer = np.clip(
+            outer, low - DEEPER, high + BRIGHTER
+        )  # hair is hardly deeper in shade or brighter than the face
+        outer = np.clip(blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
         return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
 
     def _bust_ratio(self, bust: np.ndarray, faint: float) -> np.ndarray:

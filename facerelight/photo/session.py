@@ -8,8 +8,10 @@ the photograph's own pixels, which stay as they are wherever the person is not.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from itertools import chain
 from numbers import Real
 from typing import Literal, TypeVar
 
@@ -21,11 +23,11 @@ from torch import Tensor
 
 from facerelight.geometry.alignment import fit_similarity
 from facerelight.geometry.lights import angles_from_light, light_from_angles
-from facerelight.geometry.sources import Lamp, LightMixture, scene_light
+from facerelight.geometry.sources import Lamp, LightMixture, lights_behind, scene_light
 from facerelight.inference.methods import Method
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
-from facerelight.photo.bust.matte import person_matte
+from facerelight.photo.bust.matte import ground_behind, person_matte
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import LUMA, SkinColour, to_scene
@@ -52,8 +54,9 @@ WHITE = 0.98  # quantile of the window's luminance that is its white
 DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
 EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
+OUTLINE = 1.1  # of the face's oval, inside which skin is the face's
 FEW = 50  # pixels of skin, fewer are not exposed for
-RIM = 0.03  # units, how wide an outline is
+RIM = 0.015  # units, how wide an outline is
 HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
 FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
@@ -100,6 +103,10 @@ def relight(
         ValueError: a photo, landmarks, angles or lights that cannot be used.
         RuntimeError: no statistics yet, or no face found.
 
+    Warns:
+        UserWarning: what a user should know before trusting the picture, such as a face turned too far, one of several,
+            or a lamp behind the face.
+
     Example:
         >>> from skimage.data import astronaut  # doctest: +SKIP
         >>> relight(astronaut(), azimuth=-60, elevation=20).shape  # doctest: +SKIP
@@ -113,8 +120,10 @@ def relight(
 
         opened = from_pillow(photo)
         session = PhotoRelighter(opened.pixels, landmarks, relighter, quality=quality, device=device)
+        _warn(lights_behind(wanted), session.warnings)
         return to_pillow(opened, session.render(wanted, fill=fill, strength=strength))
     session = PhotoRelighter(photo, landmarks, relighter, quality=quality, device=device)
+    _warn(lights_behind(wanted), session.warnings)
     return session.render(wanted, fill=fill, strength=strength)
 
 
@@ -160,15 +169,15 @@ class PhotoRelighter:
         self.photo, self._pixels = photo, as_rgb(photo)
         self.relighter = (relighter or load_relighter(quality)).to(device)
         self.frame = crop_frame(self.relighter)
-        with self._log.measure("face", "given by hand" if landmarks is not None else "found"):
-            self.face = locate_face(self._pixels, landmarks, face)
+        with self._log.measure("face", "marked by hand" if landmarks is not None else "found in the picture"):
+            self.face, self._faces = locate_face(self._pixels, landmarks, face)
         self.window, crop = self._align(self._pixels, self.face.landmarks)
         self._copy = small_copy(self._pixels, self.window)
         self._scene = to_scene(self._copy)
         with self._log.measure("model", "the face's statistics"):
             crops = [
                 crop,
-                *(self._align(as_rgb(other), locate_face(as_rgb(other), None, None).landmarks)[1] for other in more),
+                *(self._align(as_rgb(other), locate_face(as_rgb(other), None, None)[0].landmarks)[1] for other in more),
             ]
             rotation = None if self._points is None else head_rotation(self._points)
             self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
@@ -223,7 +232,7 @@ class PhotoRelighter:
 
     @property
     def stages(self) -> list[Stage]:
-        """Which stages ran so far, why, and what each cost."""
+        """Which stages ran for the conditioning and for the last picture, why, and what each cost."""
         return list(self._log.stages)
 
     @property
@@ -235,6 +244,8 @@ class PhotoRelighter:
             said.append(f"pose: the head is turned {angles}; the statistics are of faces within about {POSE_LIMIT:.0f}")
         if not self.face.whole:
             said.append("face: the picture's border cuts it; what is outside is guessed")
+        if self._faces > 1:
+            said.append(f"face: the largest whole one of {self._faces}; landmarks= or face= take another")
         return said
 
     def crops(self, lights: Tensor) -> Tensor:
@@ -272,9 +283,10 @@ class PhotoRelighter:
             sources = _as_sources(lights)
         _check_share("strength", strength)
         light = scene_light(sources, fill)
+        self._log.forget("light", "shadows", "pixels")
         ratio = self._ratio
         marched = ratio.shading.marches
-        with self._log.measure("light", f"{len(light.directions)} points"):
+        with self._log.measure("light", f"a new light of {len(light.directions)} points"):
             log_ratio = ratio(light)
             log_ratio = np.stack(
                 [
@@ -290,7 +302,7 @@ class PhotoRelighter:
             log_ratio = np.where(log_ratio > 0, held * self._rimless[..., None] * log_ratio, log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
-        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, change, float(strength))
+        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, self._ground, change, float(strength))
         with self._log.measure("pixels", "the person's part of the picture"):
             relit = change_pixels(self._pixels, self.window, changes)
         return like(self.photo, relit)
@@ -331,9 +343,16 @@ class PhotoRelighter:
         return compose(crop_to_bust(self.frame), to_crop)
 
     @cached_property
+    def _oval(self) -> np.ndarray:
+        """Distance from the face's middle in units of its outline, ``(h, w)``."""
+        return self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+
+    @cached_property
     def _sure_skin(self) -> np.ndarray:
-        """``(h, w)`` bool: what the picture is exposed for."""
-        return self._skin.skin * self._cover > 0.6
+        """``(h, w)`` bool: what the picture is exposed for, the face where enough of it is seen."""
+        skin = self._skin.skin * self._cover > 0.6
+        face = skin & (self._oval < OUTLINE)
+        return face if face.sum() >= FEW else skin
 
     @cached_property
     def _points(self) -> np.ndarray | None:
@@ -352,7 +371,7 @@ class PhotoRelighter:
     @cached_property
     def _cover(self) -> np.ndarray:
         """The matte, ``(h, w)`` of the window's copy; the face itself is covered."""
-        oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
+        oval = self._oval
         if not self._exhaustive and float(oval.max()) < FULL_FACE:
             self._log.skip("matte", "the face fills the picture")
             return np.ones(self.window.size, np.float32)
@@ -361,6 +380,11 @@ class PhotoRelighter:
             face = np.clip((1 - oval) / 0.3, 0, 1)
             cover = np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)) * self.window.fade()
             return cover.astype(np.float32)
+
+    @cached_property
+    def _ground(self) -> np.ndarray:
+        """Radiance of what is behind the person, ``(h, w, 3)``."""
+        return ground_behind(self._scene, self._cover, self.window.unit)
 
     @cached_property
     def _rimless(self) -> np.ndarray:
@@ -372,8 +396,7 @@ class PhotoRelighter:
     def _skin(self) -> SkinColour:
         with self._log.measure("skin", "highlights and shade have their own colour"):
             face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
-            oval = self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
-            return skin_colour(self._scene, face, oval, self._features.eyes_and_lips, self._cover, self.window)
+            return skin_colour(self._scene, face, self._oval, self._features.eyes_and_lips, self._cover, self.window)
 
     @cached_property
     def _ratio(self) -> LightRatio:
@@ -403,6 +426,12 @@ def _as_sources(lights: object) -> list[Source]:
     if len(sources) < len(given):
         raise ValueError(f"lights: expected a Lamp, a list of them, or an azimuth in degrees, got {lights!r}")
     return sources
+
+
+def _warn(*lines: list[str]) -> None:
+    """Warnings of the caller's line."""
+    for line in chain(*lines):
+        warnings.warn(line, stacklevel=3)
 
 
 def _check_share(name: str, value: float) -> None:

@@ -17,6 +17,7 @@ SPREAD = 0.35  # units over which the skin's own colour is averaged
 CAST_SPREAD = 0.25  # units over which a colour cast is
 LARGEST_CAST = 1.5  # what differs by more in a channel is pigment, not light
 DARK_PIGMENT = 0.4  # of the skin's luminance around: darker parts of a face are hair
+NOSE = (0.55, -0.45, 0.5)  # half axis, place and half axis, in units: where a nose casts its shadow, dark is shade
 LIT_FROM = 0.15  # of the same: darker parts are not lit as skin
 
 
@@ -46,7 +47,9 @@ def skin_colour(
     inside = np.clip((1.1 - oval) / 0.15, 0, 1) * (1 - features) * np.clip((relative - LIT_FROM) / 0.2, 0, 1)
     on_face = np.clip((1.25 - oval) / 0.5, 0, 1)
     dark = np.clip((DARK_PIGMENT - relative) / 0.2, 0, 1) * np.clip(4 * near, 0, 1)
-    pigment = on_face * on_face * (3 - 2 * on_face) * dark
+    x, y = window.places()
+    beside_nose = np.clip((1 - np.hypot(x / NOSE[0], (y - NOSE[1]) / NOSE[2])) / 0.3, 0, 1)
+    pigment = on_face * on_face * (3 - 2 * on_face) * dark * (1 - beside_nose)
     typical = _mean_colour(small, weight * np.clip(1.6 - 2 * (small @ LUMA), 0, 1))
     lit_small = cv2.resize(
         np.maximum(sure, inside).astype(np.float32), small.shape[1::-1], interpolation=cv2.INTER_AREA

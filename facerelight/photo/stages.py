@@ -41,6 +41,10 @@ class StageLog:
         yield
         self.stages.append(Stage(name, True, reason, time.perf_counter() - started))
 
+    def forget(self, *names: str) -> None:
+        """Leave out what was noted under ``names``: it is about to happen anew."""
+        self.stages = [stage for stage in self.stages if stage.name not in names]
+
     def skip(self, name: str, reason: str) -> None:
         """Note a stage that nothing called for."""
         self.stages.append(Stage(name, False, reason, 0.0))

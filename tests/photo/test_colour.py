@@ -51,7 +51,13 @@ def changed(
     size = pixels.shape[:2]
     cover = np.ones(size, np.float32) if cover is None else cover
     ratio = np.full((*size, 1), log_ratio, np.float32)
-    return change_pixels(pixels, whole_window(*size), Changes(ratio, colour_of(size, **maps), cover, change, strength))
+    ground = to_scene(
+        pixels.astype(np.float32)
+        / {"f": 1.0, "u": np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0}[pixels.dtype.kind]
+    )
+    return change_pixels(
+        pixels, whole_window(*size), Changes(ratio, colour_of(size, **maps), cover, ground, change, strength)
+    )
 
 
 def relit(scene: np.ndarray, log_ratio: np.ndarray, change: float = 0.0, **maps: np.ndarray) -> np.ndarray:
@@ -233,6 +239,29 @@ def test_cover_and_strength_mix_radiance() -> None:
     assert np.array_equal(changed(floats, -1.0, cover=cover)[:, :99], floats[:, :99])
 
 
+def test_outline_mixes_a_relit_person_with_the_ground() -> None:
+    """A pixel half person and half ground becomes half the relit person and the same ground."""
+    cover = np.linspace(0, 1, 60, dtype=np.float32)[None].repeat(40, 0)
+    person, ground = np.array((0.5, 0.4, 0.3), np.float32), np.full((40, 60, 3), 0.8, np.float32)
+    scene = cover[..., None] * person + (1 - cover[..., None]) * ground
+    pixels = to_display(scene)
+    changes = Changes(np.full((40, 60, 1), -1.0, np.float32), colour_of((40, 60)), cover, ground, 0.0, 1.0)
+    out = to_scene(change_pixels(pixels, whole_window(40, 60), changes))
+    truth = cover[..., None] * person * np.exp(-1) + (1 - cover[..., None]) * ground
+    assert np.abs(out - truth).max() < 2e-3
+
+
+def test_blown_skin_takes_the_typical_colour_in_shade() -> None:
+    """What a camera clipped has lost its colour; darkened it is skin again, as surely as the light changed."""
+    scene = np.full((4, 4, 3), (1.0, 0.97, 0.7), np.float32)
+    typical, sure = np.array((1.3, 0.92, 0.72), np.float32), np.ones((4, 4), np.float32)
+    dark = relit(scene, np.full((4, 4, 1), -1.0, np.float32), change=1.0, lit=sure, typical=typical)[0, 0]
+    assert np.allclose(dark / (dark @ LUMA), typical / (typical @ LUMA), atol=0.02)
+    for log_ratio, change in ((-1.0, 0.0), (0.0, 1.0)):
+        kept = relit(scene, np.full((4, 4, 1), log_ratio, np.float32), change=change, lit=sure, typical=typical)[0, 0]
+        assert np.allclose(kept / kept[0], scene[0, 0] / scene[0, 0, 0], atol=0.02)
+
+
 def test_strips_join_without_seams() -> None:
     """A large photograph is worked on in strips of its own size, from small maps: a ramp stays one."""
     height, width = 900, 1200
@@ -244,7 +273,9 @@ def test_strips_join_without_seams() -> None:
     large = large.__class__(
         slice(0, height), slice(0, width), (60, 80), window.to_bust, window.to_crop, 1.0, window.crop
     )
-    out = change_pixels(pixels, large, Changes(ramp, colour_of((60, 80)), nothing + 1, 0.0, 1.0))
+    out = change_pixels(
+        pixels, large, Changes(ramp, colour_of((60, 80)), nothing + 1, np.zeros((60, 80, 3), np.float32), 0.0, 1.0)
+    )
     log_ratio = np.log(to_scene(out[:, 5, 0]) / to_scene(np.array(0.5)))
     wanted = np.interp((np.arange(height) + 0.5) / 15 - 0.5, np.arange(60), ramp[:, 0, 0])
     assert np.abs(log_ratio - wanted).max() < 1e-3

@@ -330,7 +330,7 @@ def test_same_person_is_said(
     assert Path("relit.png").exists()
     monkeypatch.setattr(landmarks_module, "find_faces", lambda pixels: [] if pixels[0, 0, 0] == 7 else [face(5, 30)])
     assert run("a.png", photo("sky.png", value=7), "--same-person", "--force") == 1
-    assert "sky.png: found no face" in capsys.readouterr().err
+    assert "found no face in sky.png; leave it out" in capsys.readouterr().err
 
 
 def test_a_picture_that_did_not_change_is_said(
@@ -397,3 +397,20 @@ def test_public_names_are_imported_when_asked_for() -> None:
     assert set(facerelight.__all__) <= set(dir(facerelight))
     with pytest.raises(AttributeError, match="no attribute"):
         _ = facerelight.nothing
+
+
+def test_earlier_results_are_no_photos(made: list[FakeSession], tmp_path: Path) -> None:
+    """A folder that holds results of an earlier run beside their photos is relit as it was then."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for name in ("a.png", "b.png", "b_relit.png", "alone_relit.png"):
+        photo(str(folder / name))
+    assert run(str(folder), "--output", str(folder), "--force") == 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "a.png",
+        "a_relit.png",
+        "alone_relit.png",
+        "alone_relit_relit.png",
+        "b.png",
+        "b_relit.png",
+    ]

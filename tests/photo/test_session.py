@@ -1,5 +1,7 @@
 """A photograph relit, whole: what stays, what changes and to which side, hard inputs, every kind of array."""
 
+import warnings
+
 import cv2
 import numpy as np
 import pytest
@@ -142,8 +144,8 @@ def test_matte_is_the_photos_size(session: PhotoRelighter) -> None:
     assert matte.min() == 0
     assert matte.max() <= 1
     assert matte[SKIN].min() > 0.99
-    assert matte[:, :15].max() == 0  # beyond the bust
-    assert matte[400:].max() == 0
+    assert matte[:100, :100].max() == 0  # the flag
+    assert 0.05 < matte[500:, 150:250].mean() < 0.6  # the light fades out over the body
 
 
 # -- what changes
@@ -292,10 +294,9 @@ def test_stages_say_what_ran(astronaut: np.ndarray, relighter: StatisticalReligh
     assert [stage.ran for stage in made.stages if stage.name == "shadows"] == [False]  # the camera sees none of them
     assert all(stage.reason for stage in made.stages)
     assert all(stage.seconds >= 0 for stage in made.stages)
-    known = len(made.stages)
+    known = len(made.stages) - 3
     made.render(Lamp(50, 0, 5), fill=0)
     assert [stage.name for stage in made.stages[known:]] == ["light", "pixels"]  # shadows are part of the light
-    known = len(made.stages)
     made.render(Lamp(50, 0, 5), fill=0)
     assert [(stage.name, stage.ran) for stage in made.stages[known:]] == [
         ("light", True),
@@ -522,7 +523,9 @@ def test_faces_of_any_size_and_place(name: str, marks, half: np.ndarray, relight
         "border": half[30:, 90:],
         "upside down": half[::-1, ::-1],
     }.get(name, half)
-    relit = relight(photo, 40, 10, marks, relighter)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # turned, or cut by the border
+        relit = relight(photo, 40, 10, marks, relighter)
     assert relit.shape == photo.shape
     assert (relit != photo).any()
     if name == "upside down":  # lit from its own other side, in the picture's own terms too
@@ -632,3 +635,13 @@ def test_kinds_without_a_render(half: np.ndarray) -> None:
         assert back.shape == photo.shape
         assert back.dtype == photo.dtype
         assert np.array_equal(back, photo)
+
+
+def test_python_says_what_the_command_line_says(astronaut: np.ndarray, relighter: StatisticalRelighter) -> None:
+    with pytest.warns(UserWarning, match="azimuth 120: the lamp stands behind the face"):
+        relight(astronaut, 120, 0, MARKS, relighter)
+    two = np.concatenate((astronaut[:, :350], astronaut[:, :350]), 1)
+    with pytest.warns(UserWarning, match="face: the largest whole one of 2"):
+        relight(two, 20, 0, relighter=relighter)
+    with pytest.raises(ValueError, match=r"PIL.Image.open"):
+        relight("me.jpg", relighter=relighter)  # type: ignore[type-var]

@@ -50,9 +50,10 @@ BUST = Grid(4.5, 3.5, -6.5, 24)
 """The whole bust, fine enough for its shape and for soft light."""
 FINE = Grid(4.5, 3.5, -6.5, 64)
 """The same, fine enough for the edges of shadows and for the face."""
-REACH = (4.6, 3.6, 6.2)  # of the window, in units: to each side, above and below the eyes
-FADE = (1.2, 2.0)  # units over which the window ends at its sides and below
-LARGEST_SIDE = 800  # pixels of the window at which maps are made
+REACH = (6.0, 3.6, 11.0)  # of the window, in units: to each side, above and below the eyes
+FADE = (2.4, 5.0)  # units over which the window ends at its sides and below
+WIDE = 8.0  # pixels: wider blurs are done on smaller maps
+LARGEST_SIDE = 960  # pixels of the window at which maps are made
 
 
 @dataclass(frozen=True)
@@ -163,8 +164,19 @@ def between(image: np.ndarray, source: Grid, target: Grid) -> np.ndarray:
 
 
 def blur(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian blur of a map ``(H, W)`` or ``(H, W, C)``, ``sigma`` in pixels; float32."""
-    return cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), max(sigma, 0.3))
+    """Gaussian blur of a map ``(H, W)`` or ``(H, W, C)``, ``sigma`` in pixels; float32. A wide one is done on a smaller
+    map: nothing is left that it could not hold."""
+    image = np.asarray(image, np.float32)
+    if sigma <= WIDE:
+        return cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3))
+    height, width = image.shape[:2]
+    small = cv2.resize(
+        image, (-int(-width * WIDE // (2 * sigma)), -int(-height * WIDE // (2 * sigma))), interpolation=cv2.INTER_AREA
+    )
+    scale = np.sqrt(small.shape[0] * small.shape[1] / (height * width))
+    # a box of 1 / scale pixels and linear interpolation blur by themselves, in pixels of the small map by 1/12 and 1/6
+    own = np.sqrt((sigma * scale) ** 2 - 1 / 12 - 1 / 6)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), own), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def compose(second: np.ndarray, first: np.ndarray) -> np.ndarray:

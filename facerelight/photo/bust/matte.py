@@ -12,14 +12,23 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window, compose
+from facerelight.photo.bust.frame import Window, blur, compose
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
-__all__ = ["person_matte"]
+__all__ = ["ground_behind", "person_matte"]
 
 NETWORK_SIZE = (256, 256)
+NEAR, AWAY = (4.6, 3.6, 6.2), 0.8  # units to each side, above and below the eyes; over which what is farther takes over
 RADIUS = 0.10  # of the guided filter, in units
-TIGHT = (0.3, 0.92)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+TIGHT = (0.1, 0.95)  # of the filtered cover: what is nearly background is background, so that no light spills on it
+GROUND = (0.5, 0.1)  # units around in which the ground behind a person is looked for, far and near
+THROUGH = 0.4  # units around in which the ground is looked at
+DIFFERS, VARIES = (
+    (0.05, 0.1),
+    (0.06, 0.1),
+)  # of its level: a colour this near is the ground's; a ground that varies more is not plain
+FLAT, BLANK = 1, 0.01  # grey levels that one colour varies by; share of the picture that is worth a look
+RINGING, ALIKE = 8, 24.0  # pixels around it, and grey levels, within which compression left traces of it
 SEEN = 0.4  # of the face at least, else the network has not seen the person
 EDGE = 1e-4 * 255**2  # variance of colour, in grey levels, that counts as an edge
 
@@ -42,7 +51,67 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         return (rim * rim * (3 - 2 * rim)).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
-    return np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
+    cover = np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
+    beyond = np.clip((oval - 1.15) / 0.15, 0, 1)  # the face itself is never the ground
+    cover *= 1 - beyond * _blank(image, window)
+    return (cover * (1 - beyond * _seen_through(image, cover, window))).astype(np.float32)
+
+
+def ground_behind(scene: np.ndarray, cover: np.ndarray, unit: float) -> np.ndarray:
+    """The radiance ``(h, w, 3)`` of what is behind a person: an average of the uncovered pixels around, from near where
+    there are some (blur fusion, Forte 2021)."""
+    bare = np.clip(1 - 5 * cover, 0, 1)[..., None]
+    ground = np.zeros_like(scene)
+    for reach in GROUND:
+        weight = blur(bare, reach * unit).reshape(bare.shape)
+        near = blur(scene * bare, reach * unit) / np.maximum(weight, 1e-4)
+        share = np.clip(weight / 0.02, 0, 1)
+        ground = share * near + (1 - share) * ground
+    return ground.astype(np.float32)
+
+
+def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.ndarray:
+    """1 where hair has the colour of a plain ground behind it, ``(h, w)`` float32: gaps between strands, which are too
+    fine for the network."""
+    coded, bare, reach = image.astype(np.float32) / 255, np.square(1 - cover), THROUGH * window.unit
+    weight = blur(bare, reach)
+    mean, square = (
+        blur(values * bare[..., None], reach) / np.maximum(weight, 1e-4)[..., None] for values in (coded, coded**2)
+    )
+    level = ground_behind(coded, cover, window.unit)
+    scale = level.max(-1) + 0.2  # what differs little in the dark differs as little in the light
+    varies = np.sqrt(np.maximum(square - mean**2, 0)).max(-1) / scale
+    differs = np.abs(coded - level).max(-1) / scale
+    differs = np.maximum(differs, blur(differs, 0.02 * window.unit))
+    alike = np.clip((DIFFERS[1] - differs) / (DIFFERS[1] - DIFFERS[0]), 0, 1)
+    plain = np.clip((VARIES[1] - varies) / (VARIES[1] - VARIES[0]), 0, 1)
+    above_shoulders = np.clip((window.places()[1] + 1.6) / 0.4, 0, 1)
+    return alike * plain * above_shoulders * np.clip(weight / 0.03, 0, 1)
+
+
+def _blank(image: np.ndarray, window: Window) -> np.ndarray:
+    """1 on areas of one colour that reach the picture's border, ``(h, w)`` float32: paper, clipped sky, a cut-out's
+    ground. What has the colour of one above the eyes is no clothes."""
+    square: np.ndarray = np.ones((3, 3), np.uint8)
+    flat = (cv2.dilate(image, square) - cv2.erode(image, square)).max(-1) <= FLAT
+    _, labels, found, _ = cv2.connectedComponentsWithStats(flat.astype(np.uint8))
+    border = np.ones(flat.shape, bool)
+    border[1:-1, 1:-1] = False
+    above = border & (window.places()[1] > 0)
+    large = found[:, cv2.CC_STAT_AREA] > BLANK * flat.size
+    large[0] = False
+    grounds = [image[labels == one].mean(0) for one in np.unique(labels[above]) if large[one]]
+    blank: np.ndarray = np.zeros(flat.shape, np.float32)
+    for one in np.unique(labels[border]):
+        part = labels == one
+        if large[one] and any(np.abs(image[part].mean(0) - ground).max() < FLAT + 1 for ground in grounds):
+            blank[part] = 1
+    if not blank.any():
+        return blank
+    near = cv2.dilate(blank, np.ones((2 * RINGING + 1,) * 2, np.uint8)) > 0
+    colour = blur(image * blank[..., None], RINGING) / np.maximum(blur(blank, RINGING), 1e-3)[..., None]
+    alike = near & (np.abs(image - colour).max(-1) < ALIKE)  # compression rings along its edge
+    return blur(np.maximum(blank, alike), 0.7)
 
 
 @lru_cache(maxsize=1)
@@ -51,8 +120,21 @@ def _network() -> cv2.dnn.Net:
 
 
 def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
-    """The network's cover: it sees the bust upright, as it is and mirrored; the mean of both."""
-    to_network = _upright(window)
+    """The network's cover: it sees head and shoulders, and once more, less finely, what goes on beyond them."""
+    x, y = window.places()
+    beyond = max(float(np.abs(x).max()) - NEAR[0], float(y.max()) - NEAR[1], -float(y.min()) - NEAR[2])
+    near = _seen_by_network(image, window, NEAR)
+    if beyond < AWAY:
+        return near
+    inside = np.minimum(NEAR[0] - np.abs(x), np.minimum(NEAR[1] - y, NEAR[2] + y)) / AWAY
+    share = np.clip(inside, 0, 1).astype(np.float32)
+    return share * near + (1 - share) * _seen_by_network(image, window, (np.inf, np.inf, np.inf))
+
+
+def _seen_by_network(image: np.ndarray, window: Window, reach: tuple[float, float, float]) -> np.ndarray:
+    """The network's answer to the window as far as ``reach`` (units to each side, above and below the eyes), seen
+    upright, as it is and mirrored; the mean of both."""
+    to_network = _upright(window, reach)
     upright = cv2.warpAffine(image, to_network, NETWORK_SIZE, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
     network, covers = _network(), []
     for mirrored in (False, True):
@@ -70,13 +152,14 @@ def _network_cover(image: np.ndarray, window: Window) -> np.ndarray:
     ).clip(0, 1)
 
 
-def _upright(window: Window) -> np.ndarray:
-    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around all of the
-    copy."""
+def _upright(window: Window, reach: tuple[float, float, float]) -> np.ndarray:
+    """``(2, 3)``: the copy's pixels to those of the network, which fill the upright rectangle around the copy, as far
+    as ``reach``."""
     height, width = window.size
     corners = np.array([(x, y) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     corners = corners @ window.to_bust[:, :2].T + window.to_bust[:, 2]
-    low, high = corners.min(0), corners.max(0)
+    low = np.maximum(corners.min(0), (-reach[0], -reach[2]))
+    high = np.minimum(corners.max(0), (reach[0], reach[1]))
     scale = np.array((NETWORK_SIZE[0] / (high[0] - low[0]), NETWORK_SIZE[1] / (high[1] - low[1])))
     to_network = np.array([[scale[0], 0, -0.5 - low[0] * scale[0]], [0, -scale[1], high[1] * scale[1] - 0.5]])
     return compose(to_network, window.to_bust)

@@ -17,21 +17,21 @@ Landmarks = Tensor | np.ndarray | Sequence[Sequence[float]]
 LEAST_SCORE = 0.5  # of the mesh network: below it there are no dense points where the landmarks were given
 
 
-def locate_face(pixels: np.ndarray, landmarks: Landmarks | None, face: Face | None) -> Face:
-    """The face that is meant: the one given, the one at ``landmarks``, or the best one found."""
+def locate_face(pixels: np.ndarray, landmarks: Landmarks | None, face: Face | None) -> tuple[Face, int]:
+    """The face that is meant: the one given, the one at ``landmarks``, or the best one found; and of how many."""
     if face is not None:
-        return face
+        return face, 1
     if landmarks is not None:
         points = np.asarray(landmarks, dtype=np.float64)
         check_landmarks(points, pixels.shape)
         found = face_at(as_bytes(pixels), points)
-        return found if found.mesh_score >= LEAST_SCORE else found._replace(points=None, pose=None)
+        return found if found.mesh_score >= LEAST_SCORE else found._replace(points=None, pose=None), 1
     faces = find_faces(as_bytes(pixels))
     if not faces:
         raise LandmarksNotFoundError(
             "landmarks: found no face; give them by hand: eye at image-left, eye at image-right, mouth, as x,y pixels"
         )
-    return faces[0]
+    return faces[0], len(faces)
 
 
 def check_landmarks(landmarks: np.ndarray, shape: tuple[int, ...]) -> Tensor:

@@ -85,7 +85,9 @@ def read_photo(path: str | Path) -> PhotoFile:
     except UnidentifiedImageError as error:
         raise ValueError(f"{path}: expected a photo ({', '.join(_formats())}), got {_something_else(path)}") from error
     except (*BROKEN, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path}: expected a readable photo, got {error}") from error
+        raise ValueError(
+            f"{path}: expected a readable photo, got {getattr(error, 'strerror', None) or error}"
+        ) from error
 
 
 def write_photo(path: str | Path, pixels: np.ndarray, like: PhotoFile | None = None) -> None:

@@ -28,7 +28,10 @@ def as_rgb(photo: np.ndarray) -> np.ndarray:
         or (photo.ndim == 3 and photo.shape[2] not in (1, 3, 4))
     ):
         shape = getattr(photo, "shape", type(photo).__name__)
-        raise ValueError(f"photo: expected an array (H, W), (H, W, 3) or (H, W, 4), got {shape}")
+        raise ValueError(
+            f"photo: expected an array (H, W), (H, W, 3) or (H, W, 4), or a Pillow image, got {shape}; "
+            "a file is read by PIL.Image.open"
+        )
     if min(photo.shape[:2]) < LEAST_SIDE:
         raise ValueError(f"photo: expected (H, W, 3) of at least {LEAST_SIDE} x {LEAST_SIDE} pixels, got {photo.shape}")
     colour = (
