@@ -86,7 +86,7 @@ def test_a_brighter_world_gives_a_brighter_answer(people: torch.Tensor, lights: 
 
 def test_error_against_the_condition_number() -> None:
     """Against 60-digit arithmetic: the package stays below 1e-6 where a float32 solve is wrong by more than 1 %."""
-    rows = runpy.run_path(str(Path(__file__).parent.parent / "scripts" / "plot_conditioning.py"))["sweep"]()
+    rows = runpy.run_path(str(Path(__file__).parent.parent / "scripts" / "figures" / "conditioning.py"))["sweep"]()
     assert max(condition for condition, _, _ in rows) > 1e30
     assert max(ours for _, _, ours in rows) < 1e-6
     assert max(plain for condition, plain, _ in rows if condition < 1e9) > 1e-2

@@ -27,38 +27,23 @@ from facerelight.geometry.sources import Lamp, LightMixture, lights_behind, scen
 from facerelight.inference.methods import Method
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
-from facerelight.photo.bust.matte import ground_behind, person_matte
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
-from facerelight.photo.colour import LUMA, SkinColour, to_scene
+from facerelight.photo.colour import to_scene
 from facerelight.photo.compose import Changes, change_pixels
 from facerelight.photo.face_model import FaceModel, Quality, crop_frame, load_relighter
-from facerelight.photo.faces.features import Features, facial_features
 from facerelight.photo.faces.given import Landmarks, check_landmarks, locate_face
 from facerelight.photo.faces.head_pose import HeadPose
 from facerelight.photo.faces.landmarks import Face
 from facerelight.photo.files.pixels import as_rgb, like, small_copy
-from facerelight.photo.ratio import SAME_LIGHT, FaceEvidence, LightRatio
-from facerelight.photo.skin import skin_colour
+from facerelight.photo.person import Person
+from facerelight.photo.ratio import FaceEvidence, LightRatio
 from facerelight.photo.stages import Stage, StageLog
 
 __all__ = ["PhotoRelighter", "load_relighter", "relight"]
 
 POSE_LIMIT = 20.0  # degrees of yaw or pitch beyond which the statistics, which are of frontal faces, do not reach
-EXPOSED = 0.85  # quantile of skin luminance that a new light is exposed for
-LIFT, ROOM = (
-    0.35,
-    0.9,
-)  # a dark photograph's lit side is exposed up by so much, in log; one as bright as the second not at all
-WHITE = 0.98  # quantile of the window's luminance that is its white
-DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
-EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
 NECK_BENDS = np.deg2rad(35.0)
-OUTLINE = 1.1  # of the face's oval, inside which skin is the face's
-FEW = 50  # pixels of skin, fewer are not exposed for
-RIM = 0.015  # units, how wide an outline is
-HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
-FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
 
 Source = Lamp | LightMixture
 Picture = TypeVar("Picture", np.ndarray, Image.Image)
@@ -172,8 +157,6 @@ class PhotoRelighter:
         with self._log.measure("face", "marked by hand" if landmarks is not None else "found in the picture"):
             self.face, self._faces = locate_face(self._pixels, landmarks, face)
         self.window, crop = self._align(self._pixels, self.face.landmarks)
-        self._copy = small_copy(self._pixels, self.window)
-        self._scene = to_scene(self._copy)
         with self._log.measure("model", "the face's statistics"):
             crops = [
                 crop,
@@ -181,6 +164,8 @@ class PhotoRelighter:
             ]
             rotation = None if self._points is None else head_rotation(self._points)
             self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
+        copy, mask = small_copy(self._pixels, self.window), self.model.mask.numpy()
+        self.person = Person(copy, self.window, self.face.points, mask, self._log, self._exhaustive)
 
     # -- what is known of the photo
 
@@ -227,7 +212,7 @@ class PhotoRelighter:
         """Cover of the person in 0..1, ``(H, W)`` float32; 0 beyond the bust."""
         matte = np.zeros(self._pixels.shape[:2], np.float32)
         part = matte[self.window.rows, self.window.columns]
-        part[...] = cv2.resize(self._cover, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        part[...] = cv2.resize(self.person.cover, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return matte
 
     @property
@@ -287,22 +272,12 @@ class PhotoRelighter:
         ratio = self._ratio
         marched = ratio.shading.marches
         with self._log.measure("light", f"a new light of {len(light.directions)} points"):
-            log_ratio = ratio(light)
-            log_ratio = np.stack(
-                [
-                    self.window.back(np.ascontiguousarray(part, np.float32), FINE)
-                    for part in np.moveaxis(log_ratio, -1, 0)
-                ],
-                -1,
-            )
-            log_ratio = log_ratio * (1 - EYEBALL * self._features.eyeballs[..., None])
-            change = self._change(log_ratio)
-            log_ratio = log_ratio + self._exposure(log_ratio, change)
-            held = 1 - HELD * self._skin.pigment[..., None]
-            log_ratio = np.where(log_ratio > 0, held * self._rimless[..., None] * log_ratio, log_ratio)
+            log_ratio = self.window.back(ratio(light).astype(np.float32), FINE).reshape(*self.window.size, -1)
+            log_ratio, change = self.person.follow(log_ratio)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
-        changes = Changes(log_ratio.astype(np.float32), self._skin, self._cover, self._ground, change, float(strength))
+        person = self.person
+        changes = Changes(log_ratio, person.skin, person.cover, person.ground, change, float(strength))
         with self._log.measure("pixels", "the person's part of the picture"):
             relit = change_pixels(self._pixels, self.window, changes)
         return like(self.photo, relit)
@@ -318,41 +293,11 @@ class PhotoRelighter:
         part[...] = cv2.resize(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0), part.shape[::-1])
         return out
 
-    def _change(self, log_ratio: np.ndarray) -> float:
-        """How surely the light is another, 0 to 1: what varies over the skin."""
-        skin = self._sure_skin
-        variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
-        return variance / (variance + SAME_LIGHT**2)
-
-    def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
-        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there
-        is room."""
-        luminance, skin = self._scene @ LUMA, self._sure_skin
-        if skin.sum() < FEW:
-            return 0.0
-        relit = luminance * np.exp(log_ratio.mean(-1))
-        before, after = (max(float(np.quantile(values[skin], EXPOSED)), 1e-4) for values in (luminance, relit))
-        white = float(np.quantile(luminance, WHITE))  # dark skin in a well exposed picture is to stay dark
-        lift = LIFT * change * max(1 - max(before, 0.5 * white) / ROOM, 0.0)
-        return float(np.clip(np.log(before / after) + lift, DARKER, BRIGHTER))
-
     @cached_property
     def _to_bust(self) -> np.ndarray:
         """``(2, 3)``: pixels of the photo to bust coordinates."""
         to_crop = fit_similarity(self.landmarks, self.frame.landmarks).numpy()
         return compose(crop_to_bust(self.frame), to_crop)
-
-    @cached_property
-    def _oval(self) -> np.ndarray:
-        """Distance from the face's middle in units of its outline, ``(h, w)``."""
-        return self.window.from_crop(self.frame.oval().numpy(), outside=9.0)
-
-    @cached_property
-    def _sure_skin(self) -> np.ndarray:
-        """``(h, w)`` bool: what the picture is exposed for, the face where enough of it is seen."""
-        skin = self._skin.skin * self._cover > 0.6
-        face = skin & (self._oval < OUTLINE)
-        return face if face.sum() >= FEW else skin
 
     @cached_property
     def _points(self) -> np.ndarray | None:
@@ -365,49 +310,15 @@ class PhotoRelighter:
         return np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
 
     @cached_property
-    def _features(self) -> Features:
-        return facial_features(self.face.points, self.window)
-
-    @cached_property
-    def _cover(self) -> np.ndarray:
-        """The matte, ``(h, w)`` of the window's copy; the face itself is covered."""
-        oval = self._oval
-        if not self._exhaustive and float(oval.max()) < FULL_FACE:
-            self._log.skip("matte", "the face fills the picture")
-            return np.ones(self.window.size, np.float32)
-        with self._log.measure("matte", "the picture shows more than the face"):
-            matte = person_matte(np.round(self._copy * 255).astype(np.uint8), self.window)
-            face = np.clip((1 - oval) / 0.3, 0, 1)
-            cover = np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)) * self.window.fade()
-            return cover.astype(np.float32)
-
-    @cached_property
-    def _ground(self) -> np.ndarray:
-        """Radiance of what is behind the person, ``(h, w, 3)``."""
-        return ground_behind(self._scene, self._cover, self.window.unit)
-
-    @cached_property
-    def _rimless(self) -> np.ndarray:
-        """0 on the person's outline, 1 inside, ``(h, w)``: an outline that is brightened glows."""
-        inside = cv2.GaussianBlur(self._cover, (0, 0), max(RIM * self.window.unit, 0.5))
-        return np.clip((inside - 0.55) / 0.35, 0, 1)
-
-    @cached_property
-    def _skin(self) -> SkinColour:
-        with self._log.measure("skin", "highlights and shade have their own colour"):
-            face = self.window.from_crop(self.mask.numpy(), outside=0.0).clip(0, 1)
-            return skin_colour(self._scene, face, self._oval, self._features.eyes_and_lips, self._cover, self.window)
-
-    @cached_property
     def _ratio(self) -> LightRatio:
         """Built at the first render: a gallery asks for aligned faces alone."""
-        cover = self._cover
+        cover = self.person.cover
         with self._log.measure("bust", "neck, hair and clothes follow the light"):
             in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
             down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
-            trust = self.model.trust(self.window.onto_crop(self._features.not_skin))
+            trust = self.model.trust(self.window.onto_crop(self.person.features.not_skin))
             evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
             return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
 

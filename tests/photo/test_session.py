@@ -11,7 +11,7 @@ from PIL import Image
 from facerelight.geometry.sources import Lamp, fill_light, scene_light
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, relight
-from facerelight.photo import session as session_module
+from facerelight.photo import person as person_module
 from facerelight.photo.bust import matte as matte_module
 from facerelight.photo.face_model import FaceModel
 from facerelight.photo.files.pixels import as_rgb, like
@@ -555,7 +555,7 @@ def test_transparent_everywhere(half: np.ndarray, relit_half: np.ndarray, religh
 def test_empty_matte_changes_nothing(
     half: np.ndarray, relighter: StatisticalRelighter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session_module, "person_matte", lambda image, window: np.zeros(window.size, np.float32))
+    monkeypatch.setattr(person_module, "person_matte", lambda image, window: np.zeros(window.size, np.float32))
     made = PhotoRelighter(half, HALF, relighter)
     assert np.array_equal(made.render(60, 0), half)
     assert made.matte.max() == 0
@@ -594,19 +594,19 @@ def test_warnings(astronaut: np.ndarray, relighter: StatisticalRelighter) -> Non
 
 def test_dark_and_fair_faces_have_the_same_light(session: PhotoRelighter, relighter: StatisticalRelighter) -> None:
     """Reflectance scales a photograph: light and strength stay, exposure scales."""
-    crop = session.window.onto_crop(session._scene).transpose(2, 0, 1)
+    crop = session.window.onto_crop(session.person.scene).transpose(2, 0, 1)
     crop = torch.from_numpy(np.ascontiguousarray(crop))
     fair, dark = FaceModel(relighter, [crop]), FaceModel(relighter, [0.3 * crop])
     assert float(fair.source_light @ dark.source_light) > 0.999
     assert dark.exposure == pytest.approx(0.3 * fair.exposure, rel=0.02)
     assert float(dark.light.weights.sum()) == pytest.approx(float(fair.light.weights.sum()), rel=0.02)
-    features = session.window.onto_crop(session._features.not_skin)
+    features = session.window.onto_crop(session.person.features.not_skin)
     assert np.abs(fair.trust(features) - dark.trust(features)).mean() < 0.02
 
 
 def test_trust(session: PhotoRelighter) -> None:
     """On skin, not on eyes and mouth, nowhere outside the face."""
-    crop = session.model.trust(session.window.onto_crop(session._features.not_skin))
+    crop = session.model.trust(session.window.onto_crop(session.person.features.not_skin))
     on_photo = session.window.from_crop(crop, outside=0.0)
     x, y = session.window.places()
     assert on_photo[(np.hypot(x + 0.55, y + 0.6) < 0.12)].mean() > 0.6

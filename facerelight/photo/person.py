@@ -1,0 +1,131 @@
+"""What a photograph shows of a person, as maps of the window's copy, and how all of them follows a new light: eyes
+mirror the room, dark hair keeps its depth, outlines do not glow, and the picture is exposed for the lit skin."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from facerelight.photo.bust.frame import Window
+from facerelight.photo.bust.matte import ground_behind, person_matte
+from facerelight.photo.colour import LUMA, SkinColour, to_scene
+from facerelight.photo.faces.features import Features, facial_features
+from facerelight.photo.ratio import SAME_LIGHT
+from facerelight.photo.skin import skin_colour
+from facerelight.photo.stages import StageLog
+
+__all__ = ["Person"]
+
+EXPOSED = 0.85  # quantile of skin luminance that a new light is exposed for
+# a dark photograph's lit side is exposed up by so much, in log; one as bright as the second not at all
+LIFT, ROOM = 0.35, 0.9
+WHITE = 0.98  # quantile of the window's luminance that is its white
+DARKER, BRIGHTER = -0.5, 0.8  # the most by which exposure goes with it, in log
+EYEBALL = 0.15  # of a log ratio that wet eyes do not follow: they mirror the room
+OUTLINE = 1.1  # of the face's oval, inside which skin is the face's
+FEW = 50  # pixels of skin, fewer are not exposed for
+RIM = 0.015  # units, how wide an outline is
+HELD = 0.45  # of a brightening is kept from beard, brows and fringe: they are not to turn into a veil
+FULL_FACE = 0.7  # of the face's outline: a picture that ends inside it shows nothing else
+
+
+class Person:
+    """The person around one face; each map is made when it is first asked for.
+
+    Args:
+        copy: ``(h, w, 3)`` the window's copy, sRGB in 0..1.
+        window: the window.
+        points: the face's dense points ``(468, 3)`` in pixels of the photograph, or None.
+        mask: ``(H, W)`` of the model's crop, where the face's skin is sure.
+        log: takes what is done and what is not.
+        exhaustive: look for a matte even where the face fills the picture.
+    """
+
+    def __init__(
+        self,
+        copy: np.ndarray,
+        window: Window,
+        points: np.ndarray | None,
+        mask: np.ndarray,
+        log: StageLog,
+        exhaustive: bool = False,
+    ) -> None:
+        self.copy, self.window, self.points, self.mask = copy, window, points, mask
+        self.scene = to_scene(copy)
+        self._log, self._exhaustive = log, exhaustive
+
+    @cached_property
+    def oval(self) -> np.ndarray:
+        """Distance from the face's middle in units of its outline, ``(h, w)``."""
+        return self.window.from_crop(self.window.crop.oval().numpy(), outside=9.0)
+
+    @cached_property
+    def features(self) -> Features:
+        """Eyes and mouth."""
+        return facial_features(self.points, self.window)
+
+    @cached_property
+    def cover(self) -> np.ndarray:
+        """The matte, ``(h, w)``; the face itself is covered."""
+        if not self._exhaustive and float(self.oval.max()) < FULL_FACE:
+            self._log.skip("matte", "the face fills the picture")
+            return np.ones(self.window.size, np.float32)
+        with self._log.measure("matte", "the picture shows more than the face"):
+            matte = person_matte(np.round(self.copy * 255).astype(np.uint8), self.window)
+            face = np.clip((1 - self.oval) / 0.3, 0, 1)
+            cover = np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)) * self.window.fade()
+            return cover.astype(np.float32)
+
+    @cached_property
+    def ground(self) -> np.ndarray:
+        """Radiance of what is behind the person, ``(h, w, 3)``."""
+        return ground_behind(self.scene, self.cover, self.window.unit)
+
+    @cached_property
+    def skin(self) -> SkinColour:
+        """Where skin is, and what colour."""
+        with self._log.measure("skin", "highlights and shade have their own colour"):
+            face = self.window.from_crop(self.mask, outside=0.0).clip(0, 1)
+            return skin_colour(self.scene, face, self.oval, self.features.eyes_and_lips, self.cover, self.window)
+
+    def follow(self, log_ratio: np.ndarray) -> tuple[np.ndarray, float]:
+        """What becomes of the light's ``log_ratio (h, w, C)`` on this person, and how surely the light is another, 0 to
+        1."""
+        log_ratio = log_ratio * (1 - EYEBALL * self.features.eyeballs[..., None])
+        change = self._change(log_ratio)
+        log_ratio = log_ratio + self._exposure(log_ratio, change)
+        share = (1 - HELD * self.skin.pigment) * self._rimless  # of what becomes brighter
+        return np.where(log_ratio > 0, share[..., None] * log_ratio, log_ratio).astype(np.float32), change
+
+    @cached_property
+    def _rimless(self) -> np.ndarray:
+        """0 on the person's outline, 1 inside, ``(h, w)``: an outline that is brightened glows."""
+        inside = cv2.GaussianBlur(self.cover, (0, 0), max(RIM * self.window.unit, 0.5))
+        return np.clip((inside - 0.55) / 0.35, 0, 1)
+
+    @cached_property
+    def _sure_skin(self) -> np.ndarray:
+        """``(h, w)`` bool: what the picture is exposed for, the face where enough of it is seen."""
+        skin = self.skin.skin * self.cover > 0.6
+        face = skin & (self.oval < OUTLINE)
+        return face if face.sum() >= FEW else skin
+
+    def _change(self, log_ratio: np.ndarray) -> float:
+        """How surely the light is another, 0 to 1: what varies over the skin."""
+        skin = self._sure_skin
+        variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
+        return variance / (variance + SAME_LIGHT**2)
+
+    def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
+        """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there
+        is room."""
+        luminance, skin = self.scene @ LUMA, self._sure_skin
+        if skin.sum() < FEW:
+            return 0.0
+        relit = luminance * np.exp(log_ratio.mean(-1))
+        before, after = (max(float(np.quantile(values[skin], EXPOSED)), 1e-4) for values in (luminance, relit))
+        white = float(np.quantile(luminance, WHITE))  # dark skin in a well exposed picture is to stay dark
+        lift = LIFT * change * max(1 - max(before, 0.5 * white) / ROOM, 0.0)
+        return float(np.clip(np.log(before / after) + lift, DARKER, BRIGHTER))
