@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from facerelight.viewpoint.regions import GroupRelighter
     from facerelight.viewpoint.views import LightViews
 
+__version__ = "0.1.0"
+
 _HOMES = {
     "BootstrapViews": "viewpoint.pose",
     "Classifier": "recognition.classifier",

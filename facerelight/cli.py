@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from facerelight import __version__
+
 if TYPE_CHECKING:  # help and errors of the command line need no torch
     import jsonargparse
 
@@ -64,7 +66,7 @@ def _verb(given: list[str]) -> str:
         description=f"{__doc__}\nverbs, each with its own --help:\n{verbs}",
         formatter_class=RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=_version())
+    parser.add_argument("--version", action="version", version=__version__)
     parser.add_argument("verb", choices=list(VERBS), metavar="VERB", help=", ".join(VERBS))
     return str(parser.parse_args(given).verb)
 
@@ -215,15 +217,6 @@ def _statistics_folder(given: str | None, quality: str) -> Path:
     from facerelight.train.run import trained_folder
 
     return trained_folder(config)
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("facerelight")
-    except PackageNotFoundError:
-        return "0.1.0"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Hard cases, each a row with the promise it keeps; README's table is printed from them
+"""Hard cases, each a row with the promise it keeps; the table of tests/README.md is printed from them
 (``python tests/test_hard_cases.py``)."""
 
 import copy
