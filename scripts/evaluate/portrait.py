@@ -27,6 +27,7 @@ from facerelight.geometry.sources import Lamp
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter, colour, load_relighter, ratio
 from facerelight.photo import session as photo_session
+from facerelight.photo.bust.frame import FINE
 from facerelight.photo.bust.shading import BustShading
 
 SHEET = ((0, "front", "left"), (0, "front", "top"), (-1, "window", "left"), (-1, "window", "top"))
@@ -65,6 +66,10 @@ def _mean_bust(points: np.ndarray | None, down: tuple[float, float], fit: Any = 
     return fit(None, down)
 
 
+def _all_seen(*_: object) -> np.ndarray:
+    return np.ones(FINE.size, np.float32)
+
+
 PARTS: dict[str, Part] = {
     "no camera curve": Part([(colour, "SHOULDER", 0.0), (colour, "TOE", 1.0)]),
     "no highlight parting": Part([(colour, "part_highlight", _no_highlight)]),
@@ -76,7 +81,7 @@ PARTS: dict[str, Part] = {
     "no deepening": Part([(ratio, "LEAK", 1e-6)]),
     "no bust edges": Part([(ratio, "EDGES", 0.0)]),
     "no crisp": Part([(ratio, "SOFT", 0.0)]),
-    "no cast shadows": Part([(BustShading, "sees_all", lambda *_: True)]),
+    "no cast shadows": Part([(BustShading, "sees_all", lambda *_: True), (BustShading, "fine_visibility", _all_seen)]),
     "mean bust": Part([(photo_session, "fit_bust", _mean_bust)]),
     "no join": Part([(ratio, "LEVEL", 0.0), (ratio, "NEAR_RIM", 0.0)]),
     "face only": Part([(ratio, "BUST_DARKEST", 0.0), (ratio, "BUST_BRIGHTEST", 0.0)]),
