@@ -36,10 +36,9 @@ class MaximumLikelihood:
         singular = torch.linalg.svdvals(self.lights.double())
         condition = float(singular[0] / singular[-1]) if len(lights) >= 3 and singular[-1] > 0 else float("inf")
         if condition > LARGEST_CONDITION:
-            flat = f" whose lights nearly do (condition number {condition:.3g})" if len(lights) >= 3 else ""
             raise ValueError(
                 "method='mle': expected at least 3 input images under lights that do not lie in one plane, "
-                f"got {len(lights)}{flat}; give more lights or use method='expected'"
+                f"got {len(lights)} with condition number {condition:.3g}; give more lights or use method='expected'"
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
         covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)

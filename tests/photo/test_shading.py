@@ -242,7 +242,7 @@ def test_horizons_are_marched_once() -> None:
 
 
 def test_between_marched_azimuths() -> None:
-    """The coarse horizon half way between two marches is near one marched there; exactly theirs where they are."""
+    """The coarse horizon, marched on a smaller map in some directions and interpolated between, is near the fine one."""
     bust = bust_of(ball)
     shading = BustShading(bust)
     x, y = BUST.places()
@@ -251,7 +251,8 @@ def test_between_marched_azimuths() -> None:
         towards = float(np.cos(turn)), float(np.sin(turn))
         truth = horizon(bust.height, BUST.density, towards, 0.08, 1.06, COARSE_BIAS)
         gap = np.degrees(np.abs(shading._horizon(turn) - truth))[inside]
-        assert gap.max() < (1e-3 if turn in (0, np.pi / 8) else 8)
+        assert gap.max() < 12  # at the ball's own outline
+        assert np.quantile(gap, 0.99) < 6
         assert gap.mean() < 1
 
 
