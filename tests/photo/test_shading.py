@@ -242,7 +242,7 @@ def test_horizons_are_marched_once() -> None:
 
 
 def test_between_marched_azimuths() -> None:
-    """The coarse horizon, marched on a smaller map in some directions and interpolated between, is near the fine one."""
+    """The coarse horizon, marched on a smaller map in some directions and interpolated, is near the fine one."""
     bust = bust_of(ball)
     shading = BustShading(bust)
     x, y = BUST.places()
