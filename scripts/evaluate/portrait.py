@@ -25,7 +25,7 @@ from facerelight.evaluation.results import ScriptParser, machine
 from facerelight.evaluation.scan import TONES, ScannedHead
 from facerelight.geometry.sources import Lamp
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.photo import PhotoRelighter, colour, load_relighter, ratio
+from facerelight.photo import PhotoRelighter, colour, load_relighter, person, ratio
 from facerelight.photo import session as photo_session
 from facerelight.photo.bust.frame import FINE
 from facerelight.photo.bust.shading import BustShading
@@ -76,7 +76,8 @@ PARTS: dict[str, Part] = {
     "no warm shade": Part([(colour, "WARM", 0.0)]),
     "no white light": Part([(colour, "MOST_TYPICAL", 0.0), (colour, "CAST", 0.0)]),
     "no rolling off": Part([(colour, "KNEE", 1e6)]),
-    "no held pigment": Part([(photo_session, "HELD", 0.0)]),
+    "no ground": Part([(person, "ground_behind", lambda scene, cover, unit: scene)]),
+    "no held pigment": Part([(person, "HELD", 0.0)]),
     "no remainder": Part([(ratio, "SAME_LIGHT", 1e6)]),
     "no deepening": Part([(ratio, "LEAK", 1e-6)]),
     "no bust edges": Part([(ratio, "EDGES", 0.0)]),
