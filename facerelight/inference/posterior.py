@@ -12,7 +12,7 @@ from facerelight.geometry.lights import unit_lights
 from facerelight.inference.person import PersonPosterior
 from facerelight.model.registration import undeform
 
-__all__ = ["Posterior", "Relit"]
+__all__ = ["Posterior", "Relit", "check_shape_of_lights"]
 
 
 class Relit(NamedTuple):
@@ -55,6 +55,8 @@ class Posterior:
 
     def code(self) -> Tensor:
         """The whole-face code, a compact description of the person, ``(B, k)``; zero where nothing was observed."""
+        if not self.people:
+            raise ValueError("code: expected one person or more, got none")
         first = self.people[0]
         if first.face is None:
             raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
@@ -64,14 +66,10 @@ class Posterior:
         )
 
     def _render(self, what: str, target_lights: Tensor) -> Tensor:
-        reference = self.people[0].n_map
-        targets = unit_lights(target_lights.to(reference))
-        if targets.dim() == 2:
-            targets = targets.expand(len(self.people), -1, -1)
-        if targets.dim() != 3 or len(targets) != len(self.people):
-            raise ValueError(
-                f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}"
-            )
+        targets = check_shape_of_lights(target_lights, len(self.people))
+        targets = unit_lights(targets.to(self.people[0].n_map) if self.people else targets)
+        if not targets.shape[0] or not targets.shape[1]:
+            return targets.new_zeros(*targets.shape[:2], *self.size)
         images = torch.stack(
             [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
         )
@@ -80,3 +78,13 @@ class Posterior:
             return images
         images = torch.stack([undeform(person, theta) for person, theta in zip(images, self.deformations, strict=True)])
         return images.clamp_min(0) if what == "variance" else images
+
+
+def check_shape_of_lights(target_lights: Tensor, people: int) -> Tensor:
+    """``(Q, 3)`` or ``(people, Q, 3)``, each person's own; always the latter comes back. Else a ``ValueError``."""
+    if not isinstance(target_lights, Tensor):
+        raise ValueError(f"target lights: expected a tensor, got {type(target_lights).__name__}; try torch.as_tensor")
+    shape = tuple(target_lights.shape)
+    if shape[-1:] != (3,) or len(shape) not in (2, 3) or (len(shape) == 3 and shape[0] != people):
+        raise ValueError(f"target lights: expected (Q, 3) or ({people}, Q, 3), got {shape}")
+    return target_lights if len(shape) == 3 else target_lights.expand(people, -1, -1)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.light.estimator import GaussianBelief, LightEstimator
+from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.gaussian import covariance_factor
 from facerelight.numerics.kernels import kernel_weights, neighbour_widths
 from facerelight.numerics.luminance import BLACK
@@ -83,9 +84,16 @@ class KernelIlluminationEstimator(LightEstimator):
             thumbnail: size at which images are compared.
             weight: ``(H, W)``, how much each pixel counts; leaves out what is not face. None: all alike.
             folds: groups of people left out in turn.
+
+        Raises:
+            ValueError: images, lights, ``valid`` or a weight that are none, or nothing to learn from.
         """
-        if images.dim() != 4 or images.shape[1] != len(lights):
-            raise ValueError(f"images: expected (N, J, H, W) with J = {len(lights)} lights, got {tuple(images.shape)}")
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_radiance(images, "images", "N J H W", (len(lights), None, None), missing=True)
+        if weight is not None:
+            weight = check_mask(weight, "weight", "H W", images.shape[2:])
+        if valid is not None:
+            valid = check_valid(valid, "valid", "N J", images.shape[:2]).to(images.device)
         count, light_count = images.shape[:2]
         kept = torch.isfinite(images.flatten(2)).all(-1)
         kept = kept if valid is None else kept & valid
@@ -93,6 +101,8 @@ class KernelIlluminationEstimator(LightEstimator):
         weight = torch.nn.functional.interpolate(weight[None, None].float(), size=thumbnail, mode="area")[0, 0]
         thumbs, energy = _thumbnails(images.nan_to_num(0.0).flatten(0, 1), weight)
         usable = (kept.flatten() & (energy > 0)).nonzero()[:, 0]
+        if len(usable) < 2:
+            raise ValueError(f"images: expected two that exist and are not black, got {len(usable)}")
         person = usable // light_count
         points, directions = thumbs[usable], unit_lights(lights.float())[usable % light_count]
         errors = []

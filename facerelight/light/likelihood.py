@@ -13,6 +13,7 @@ from facerelight.light.estimator import LightEstimator
 from facerelight.model.covariance import image_covariance, light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
+from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.luminance import BLACK
 
 __all__ = ["LikelihoodIlluminationEstimator"]
@@ -57,7 +58,7 @@ class LikelihoodIlluminationEstimator(LightEstimator):
 
     def __init__(self, statistics: FaceStatistics, count: int = 300, pixels: int = 700) -> None:
         super().__init__()
-        height, width = statistics.size
+        self.size = height, width = statistics.size
         stride = max(1, round((height * width / pixels) ** 0.5))
         index = torch.arange(height * width).view(height, width)
         places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
@@ -98,6 +99,11 @@ class LikelihoodIlluminationEstimator(LightEstimator):
             images: linear radiance; their brightness does not matter.
             mask: ``(M, H, W)``, 0 where they do not show the face.
         """
+        check_radiance(images, "images", "M H W", self.size)
+        if mask is not None:
+            mask = check_mask(mask, "mask", "M H W", images.shape)
+        if not len(images):
+            return self.mean.new_zeros(0, len(self.grid), dtype=torch.float64)
         seen = images.flatten(1)[:, self.places].to(self.mean)
         weight = torch.ones_like(seen) if mask is None else mask.flatten(1)[:, self.places].to(seen)
         parts = [
@@ -128,7 +134,13 @@ class LikelihoodIlluminationEstimator(LightEstimator):
     def calibrate(self, images: Tensor, lights: Tensor, valid: Tensor | None = None) -> LikelihoodIlluminationEstimator:
         """Choose ``temper`` so that the true ``lights (J, 3)`` of ``images (N, J, H, W)`` become most probable; people
         not learned from."""
-        there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_radiance(images, "images", "N J H W", (len(lights), *self.size), missing=valid is not None)
+        there = torch.ones(images.shape[:2], dtype=torch.bool)
+        if valid is not None:
+            there = check_valid(valid, "valid", "N J", images.shape[:2])
+        if not there.any():
+            raise ValueError("images: expected one at least that exists, got none")
         truth = lights.expand(len(images), -1, -1)[there]
         likelihood = self.log_likelihood(images[there])
         near = nearest_lights(truth, self.grid)
@@ -160,7 +172,7 @@ class GridBelief(NamedTuple):
         images = len(self.probability)
         generator = generator or torch.Generator().manual_seed(0)
         points = torch.rand(images, count, generator=generator, dtype=torch.float64)
-        if not independent:  # stratified, in an order of its own for each input
+        if images and not independent:  # stratified, in an order of its own for each input
             order = torch.stack([torch.randperm(count, generator=generator) for _ in range(images)])
             points = (order + points) / count
         chosen = torch.searchsorted(self.probability.cumsum(1), points).clamp_max(len(self.grid) - 1)  # (B K, count)

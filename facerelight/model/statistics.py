@@ -17,6 +17,7 @@ from facerelight.geometry.lights import angular_distance, merge_repeats, unit_li
 from facerelight.model.file import read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
 from facerelight.model.learning import FitOptions, learn
+from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
 from facerelight.numerics.kernels import kernel_weights
 
 __all__ = ["FaceLoadings", "FaceStatistics", "PixelStatistics"]
@@ -95,6 +96,7 @@ class FaceStatistics(nn.Module):
         self.options = options or FitOptions()
         self.store: ImageStore | None = ImageStore() if store is None else store
         self.metadata: dict[str, object] = {}
+        check_shape(lights, "lights", "J 3", (None, 3))
         distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:
             raise ValueError(
@@ -125,7 +127,7 @@ class FaceStatistics(nn.Module):
         Args:
             images: float, 1.0 = full scale; N >= 2 subjects.
             lights: bootstrap lights, rank 3.
-            valid: ``(N, J)`` bool, False where an image does not exist; None: all do.
+            valid: ``(N, J)`` bool (or 0 and 1), False where an image does not exist; None: all do.
             options: see :class:`FitOptions`; ``overrides`` replace single fields of it (``rank=8``).
             store: where to keep the images.
 
@@ -134,8 +136,10 @@ class FaceStatistics(nn.Module):
             >>> FaceStatistics.fit(torch.rand(4, 3, 8, 8), lights, rank=2).n_mean.shape
             torch.Size([3, 8, 8])
         """
-        if images.dim() != 4 or images.shape[1] != len(lights):
-            raise ValueError(f"images: expected (N, J, H, W) with J = {len(lights)} lights, got {tuple(images.shape)}")
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_shape(images, "images", "N J H W", (len(lights), None, None))
+        if valid is not None:
+            valid = check_valid(valid, "valid", "N J", images.shape[:2])
         settings = {**asdict(options or FitOptions()), **overrides}
         statistics = cls(lights, FitOptions(**settings), store)  # type: ignore[arg-type]
         for index, subject in enumerate(images):
@@ -149,18 +153,12 @@ class FaceStatistics(nn.Module):
             raise RuntimeError(
                 "update: these statistics were loaded, and the images they came from are not kept; fit anew"
             )
-        if images.dim() != 3 or len(images) != len(self._light_index):
-            raise ValueError(
-                f"images: expected ({len(self._light_index)}, H, W), one image a light, got {tuple(images.shape)}"
-            )
-        kept = torch.ones(len(images), dtype=torch.bool) if valid is None else valid.cpu()
-        if not torch.isfinite(images[kept]).all():
-            raise ValueError("images: expected finite radiance, got NaN or infinity; mark missing images in `valid`")
-        if images[kept].numel() and float(images[kept].abs().max()) > 20:
-            raise ValueError(
-                f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g};"
-                " divide by 255?"
-            )
+        check_shape(images, "images, one a light", "J H W", (len(self._light_index), None, None))
+        kept = torch.ones(len(images), dtype=torch.bool)
+        if valid is not None:
+            kept = check_valid(valid, "valid", "J", (len(images),)).cpu()
+        images = images.detach().cpu()
+        check_radiance(images[kept], "images that are not marked as missing in `valid`", "J H W")
         merged = torch.full((len(self.lights), *images.shape[1:]), float("nan"))
         for light in range(len(self.lights)):
             same = kept & (self._light_index == light)
@@ -208,7 +206,8 @@ class FaceStatistics(nn.Module):
 
     def weights(self, lights: Tensor) -> Tensor:
         """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so
-        few count."""
+        few count; lights that are not unit vectors are a ``ValueError``."""
+        check_unit(lights, "lights")
         squared = (lights[..., None, :] - self.lights).square().sum(-1)
         weights = kernel_weights(squared, self.light_widths)
         weights = torch.where(weights > NEGLIGIBLE, weights, 0.0)

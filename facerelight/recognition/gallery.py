@@ -58,6 +58,10 @@ class Gallery:
 
     def add(self, name: str, photos: Sequence[PhotoRelighter]) -> None:
         """:meth:`enroll` for photos that are opened already, with landmarks given, say."""
+        if not name or not isinstance(name, str):
+            raise ValueError(f"name: expected that of the person, got {name!r}")
+        if not photos:
+            raise ValueError(f"photos: expected one or more of {name}, got none")
         lights, _ = exemplar_lights()
         exemplars = []
         for photo in photos:
@@ -70,6 +74,8 @@ class Gallery:
 
     def compare(self, photo: PhotoRelighter) -> Identification:
         """:meth:`identify` for a photo that is opened already."""
+        if not self.classifier.classes_:
+            raise ValueError("gallery: expected people in it, got none; enroll them first")
         image = photo.luminance[None]
         scores = self.classifier.decision_function(image)[0]
         names = [str(name) for name in self.classifier.classes_ or []]

@@ -8,6 +8,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
+from facerelight.numerics.checks import check_radiance
 from facerelight.recognition.classifier import Classifier, Reject
 from facerelight.recognition.subspaces import Subspace, principal_subspace
 
@@ -121,10 +122,13 @@ class IndividualPCAClassifier(Classifier):
 
     def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
         """Add one person, or replace them, without touching the others."""
+        check_radiance(exemplars, "exemplars", "M H W", self.size_ or (None, None))
         rows = self._rows(exemplars)
         known = {} if self.classes_ is None else dict(zip(self.classes_, self._spaces(), strict=True))
         known[label] = principal_subspace(rows, self.dimension, self.error)
-        return self.fit_subspaces(list(known.values()), list(known))
+        self.fit_subspaces(list(known.values()), list(known))
+        self.size_ = (exemplars.shape[1], exemplars.shape[2])
+        return self
 
     def _spaces(self) -> list[Subspace]:
         sizes = self.dimensions.tolist()
@@ -143,6 +147,7 @@ class IndividualPCAClassifier(Classifier):
         """``|x - x_c|^2`` of images ``(M, H, W)`` in each person's subspace, ``(M, C)``."""
         if self.classes_ is None:
             raise RuntimeError("IndividualPCAClassifier: nothing is learned yet; call fit first")
+        self._check(images)
         return self._errors(self._rows(images))
 
     def _errors(self, rows: Tensor) -> Tensor:
