@@ -17,6 +17,7 @@ from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.compression import compress_estimator, decompress_estimator
 from facerelight.model.covariance import prior_mean
+from facerelight.model.file import replacing
 from facerelight.model.registration import deform
 from facerelight.model.registration import register as find_deformation
 from facerelight.model.statistics import FaceStatistics
@@ -231,16 +232,16 @@ class StatisticalRelighter(nn.Module):
             tensors = self.estimator.state_dict()
             if compress:
                 tensors = compress_estimator({k: v.cpu() for k, v in tensors.items()}, compress)
-            partial = folder / "estimator.safetensors.part"
-            save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
-            partial.replace(folder / "estimator.safetensors")
+            with replacing(folder / "estimator.safetensors") as partial:
+                tensors = {k: v.contiguous() for k, v in tensors.items()}
+                save_file(tensors, partial, metadata={"statistics": self.statistics.key})
         self.statistics.save(folder / "statistics.safetensors", compress)
 
     @classmethod
     def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
         """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have
         loadings."""
-        from safetensors import SafetensorError
+        from safetensors import SafetensorError, safe_open
         from safetensors.torch import load_file
 
         folder = Path(folder)
@@ -249,6 +250,10 @@ class StatisticalRelighter(nn.Module):
         estimator = None
         if path.exists():
             try:
+                with safe_open(path, framework="pt") as file:
+                    key = (file.metadata() or {}).get("statistics", statistics.key)
+                if key != statistics.key:
+                    raise ValueError(f"one of statistics {key} beside statistics {statistics.key}")
                 estimator = KernelIlluminationEstimator(**decompress_estimator(load_file(path)))
             except (OSError, SafetensorError, TypeError, ValueError) as error:
                 raise ValueError(

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.geometry.lights import angular_distance, merge_repeats, unit_lights
-from facerelight.model.file import read_tensors, write_tensors
+from facerelight.model.compression import checksum
+from facerelight.model.file import KEY_LENGTH, read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
 from facerelight.model.learning import FitOptions, learn
 from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
@@ -96,6 +97,7 @@ class FaceStatistics(nn.Module):
         self.options = options or FitOptions()
         self.store: ImageStore | None = ImageStore() if store is None else store
         self.metadata: dict[str, object] = {}
+        self._key: str | None = None
         check_shape(lights, "lights", "J 3", (None, 3))
         distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:
@@ -175,6 +177,8 @@ class FaceStatistics(nn.Module):
             raise ValueError(
                 f"merge: expected the same lights, got {len(self.lights)} and {len(other.lights)} that differ"
             )
+        if other.store is self.store or (self.store.folder and self.store.folder == other.store.folder):
+            raise ValueError("merge: expected other statistics, got the same people; they would count twice")
         for array in other.store:
             self.store.add(torch.from_numpy(array.copy()))
         return self
@@ -188,6 +192,7 @@ class FaceStatistics(nn.Module):
         shapes = {array.shape for array in self.store}
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
+        self._key = None
         learned = learn(self.store, self.lights, self.options)
         self.light_widths, self.nugget_width = learned.light_widths, learned.nugget_width
         self.gain_spread, self.gain_noise = learned.gain_spread, learned.gain_noise
@@ -225,6 +230,15 @@ class FaceStatistics(nn.Module):
             raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
         return int(self.n_mean.shape[-2]), int(self.n_mean.shape[-1])
 
+    @property
+    def key(self) -> str:
+        """What was learned, as 16 hexadecimal digits: what is made with these statistics (light estimators, galleries)
+        keeps it, and is refused by others. It outlives saving, compression and conversion."""
+        _ = self.size
+        if self._key is None:
+            self._key = checksum({n: t.detach().cpu().float() for n, t in self.state_dict().items()})[:KEY_LENGTH]
+        return self._key
+
     def save(self, path: str | Path, coarseness: float = 0.0) -> None:
         """Write a safetensors file, atomically: tensors, and as metadata the format version, options and
         ``self.metadata``.
@@ -232,7 +246,9 @@ class FaceStatistics(nn.Module):
         With a ``coarseness`` above 0 it is compressed, see :mod:`facerelight.model.compression`.
         """
         _ = self.size
-        write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata}, coarseness)
+        write_tensors(
+            path, self.state_dict(), {"options": asdict(self.options), "key": self.key, **self.metadata}, coarseness
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> FaceStatistics:
@@ -250,7 +266,8 @@ class FaceStatistics(nn.Module):
             raise ValueError(
                 f"{path}: expected the options and lights of a fit, got {error}; train anew with `facerelight train`"
             ) from error
-        statistics.store, statistics.metadata = None, header
+        key = header.pop("key", None)
+        statistics.store, statistics.metadata, statistics._key = None, header, None if key is None else str(key)
 
         def pixel(prefix: str) -> PixelStatistics:
             return PixelStatistics(*(tensors[f"{prefix}.{name}"] for name in ("n_factor", "v_std", "v_factor")))

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from facerelight.config import TrainConfig, cache_folder
 from facerelight.geometry.lights import light_from_angles
+from facerelight.model.file import replacing
 from facerelight.model.subjects import face_operators
 from facerelight.numerics import gaussian
 from facerelight.viewpoint.views import ViewFields, ViewSource, check_view_images
@@ -89,16 +90,14 @@ class BootstrapViews:
 
     def images(self, view: View) -> Tensor:
         """Every person under ``view``, ``(N, H, W)``, linear radiance; rendered at the first call."""
-        world = asdict(replace(self.config, fit=type(self.config.fit)(), lights=4))
+        world = replace(self.config, fit=type(self.config.fit)(), lights=4).identity()
         text = json.dumps([world, asdict(view), self.first], sort_keys=True)
         path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}.npy"
         if not path.exists():
             rendered = self._render(view)
             self.folder.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(".part")
-            with partial.open("wb") as file:
+            with replacing(path) as partial, partial.open("wb") as file:
                 np.save(file, rendered.numpy())
-            partial.replace(path)
         return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def _render(self, view: View) -> Tensor:
