@@ -25,14 +25,20 @@ class Relit(NamedTuple):
 class Posterior:
     """Posteriors of a batch of B persons, ready to be rendered under as many lights as wanted.
 
-    ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place.
+    ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place. ``dtype`` is
+    that of the images that are rendered; None: the statistics'.
     """
 
     def __init__(
-        self, people: list[PersonPosterior], size: tuple[int, int], deformations: Tensor | None = None
+        self,
+        people: list[PersonPosterior],
+        size: tuple[int, int],
+        deformations: Tensor | None = None,
+        dtype: torch.dtype | None = None,
     ) -> None:
         self.people = people
         self.size = size
+        self.dtype = dtype
         self.deformations = deformations
 
     def mean(self, target_lights: Tensor) -> Tensor:
@@ -60,7 +66,7 @@ class Posterior:
         first = self.people[0]
         if first.face is None:
             raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
-        zero = torch.zeros(len(first.face.n))
+        zero = first.n_map.new_zeros(len(first.face.n))
         return torch.stack(
             [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
         )
@@ -69,11 +75,11 @@ class Posterior:
         targets = check_shape_of_lights(target_lights, len(self.people))
         targets = unit_lights(targets.to(self.people[0].n_map) if self.people else targets)
         if not targets.shape[0] or not targets.shape[1]:
-            return targets.new_zeros(*targets.shape[:2], *self.size)
+            return targets.new_zeros(*targets.shape[:2], *self.size, dtype=self.dtype)
         images = torch.stack(
             [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
         )
-        images = images.unflatten(-1, self.size)
+        images = images.unflatten(-1, self.size).to(self.dtype or images.dtype)
         if self.deformations is None:
             return images
         images = torch.stack([undeform(person, theta) for person, theta in zip(images, self.deformations, strict=True)])

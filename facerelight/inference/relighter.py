@@ -91,7 +91,7 @@ class StatisticalRelighter(nn.Module):
             ValueError: shapes or values out of range.
             RuntimeError: a light is unknown and there is no estimator.
         """
-        images = self._checked(images)
+        given, images = images, self._checked(images)
         if mask is not None:
             mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
         if source_lights is None:
@@ -141,7 +141,7 @@ class StatisticalRelighter(nn.Module):
             PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
             for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
         ]
-        return Posterior(people, self.statistics.size, deformations)
+        return Posterior(people, self.statistics.size, deformations, given.dtype)
 
     def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
         """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""

@@ -97,7 +97,8 @@ class KernelIlluminationEstimator(LightEstimator):
         count, light_count = images.shape[:2]
         kept = torch.isfinite(images.flatten(2)).all(-1)
         kept = kept if valid is None else kept & valid
-        weight = torch.ones(images.shape[2:]) if weight is None else weight
+        weight = (torch.ones(images.shape[2:]) if weight is None else weight).to(images.device)
+        lights = lights.to(images.device)
         weight = torch.nn.functional.interpolate(weight[None, None].float(), size=thumbnail, mode="area")[0, 0]
         thumbs, energy = _thumbnails(images.nan_to_num(0.0).flatten(0, 1), weight)
         usable = (kept.flatten() & (energy > 0)).nonzero()[:, 0]
@@ -114,12 +115,12 @@ class KernelIlluminationEstimator(LightEstimator):
                 points[~out],
                 directions[~out],
                 _widths(points[~out], fraction),
-                torch.zeros(3),
-                torch.zeros(3, 3),
+                points.new_zeros(3),
+                points.new_zeros(3, 3),
                 weight,
             )
             errors.append(directions[out] - trained._regress(points[out]))
-        error = torch.cat(errors) if errors else torch.zeros(1, 3)
+        error = torch.cat(errors) if errors else points.new_zeros(1, 3)
         bias = error.mean(0)
         factor = covariance_factor(error - bias, max(len(error) - 1, 1))
         return cls(points, directions, _widths(points, fraction), bias, factor, weight)
@@ -151,8 +152,8 @@ class KernelIlluminationEstimator(LightEstimator):
 
 def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Images ``(M, H, W)`` shrunk, weighted and normalised to unit length ``(M, D)``, and their length before."""
-    small = torch.nn.functional.interpolate(images[:, None].float(), size=tuple(weight.shape), mode="area")
-    small = (small * weight.to(images.device).float().sqrt()).flatten(1)
+    small = torch.nn.functional.interpolate(images[:, None].to(weight), size=tuple(weight.shape), mode="area")
+    small = (small * weight.sqrt()).flatten(1)
     energy = torch.linalg.vector_norm(small, dim=-1)
     energy = torch.where(energy > BLACK * small.shape[1] ** 0.5, energy, torch.zeros_like(energy))
     return small / energy.clamp_min(1e-12)[:, None], energy

@@ -9,24 +9,27 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from facerelight.geometry.lights import angular_distance, merge_repeats, unit_lights
 from facerelight.model.compression import checksum
 from facerelight.model.file import KEY_LENGTH, read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
 from facerelight.model.learning import FitOptions, learn
+from facerelight.numerics.buffers import Learned
 from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
 from facerelight.numerics.kernels import kernel_weights
 
 __all__ = ["FaceLoadings", "FaceStatistics", "PixelStatistics"]
 
+FACE_PARTS = ("n", "v", "basis", "v_power", "temper")
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 
 
-class PixelStatistics(nn.Module):
+class PixelStatistics(Learned):
     """Second-order statistics of n and of v at the J bootstrap lights, pixel by pixel (4.3).
 
     Buffers: ``n_factor (3, 3, H, W)`` with ``C_n = L L^T``; ``v_std (J, H, W)``; ``v_factor (J, r, H, W)``, the factor
@@ -44,7 +47,7 @@ class PixelStatistics(nn.Module):
         self.register_buffer("v_factor", v_factor)
 
 
-class FaceLoadings(nn.Module):
+class FaceLoadings(Learned):
     """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``,
     ``c ~ N(0, I_k)``.
 
@@ -68,7 +71,7 @@ class FaceLoadings(nn.Module):
         self.residual = residual
 
 
-class FaceStatistics(nn.Module):
+class FaceStatistics(Learned):
     """Statistics of n and v learned from a bootstrap, as registered buffers.
 
     Build them with :meth:`fit`, or subject by subject: ``FaceStatistics(lights)``, :meth:`update` for each,
@@ -99,7 +102,8 @@ class FaceStatistics(nn.Module):
         self.metadata: dict[str, object] = {}
         self._key: str | None = None
         check_shape(lights, "lights", "J 3", (None, 3))
-        distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
+        distinct, index = merge_repeats(unit_lights(lights.detach().float()))
+        self._light_index = index.cpu()
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:
             raise ValueError(
                 f"lights: expected at least 3 linearly independent directions, got {len(distinct)} that are not"
@@ -193,7 +197,7 @@ class FaceStatistics(nn.Module):
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
         self._key = None
-        learned = learn(self.store, self.lights, self.options)
+        learned = learn(self.store, self.lights.cpu().float(), self.options)
         self.light_widths, self.nugget_width = learned.light_widths, learned.nugget_width
         self.gain_spread, self.gain_noise = learned.gain_spread, learned.gain_noise
         self.n_mean, self.v_mean = learned.n_mean, learned.v_mean
@@ -203,7 +207,23 @@ class FaceStatistics(nn.Module):
             residual = PixelStatistics(*face.residual)
             temper = torch.tensor(self.options.temper)
             self.face = FaceLoadings(face.n, face.v, learned.basis, face.v_power, temper, residual)
-        return self
+        return self.to(self.lights)  # learned in float32 beside the images
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        """What was learned replaces all that was; the images it came from are not in it, so it cannot be updated."""
+
+        def pixel(at: str) -> PixelStatistics:
+            return PixelStatistics(*(state_dict[f"{at}.{name}"].clone() for name in ("n_factor", "v_std", "v_factor")))
+
+        self.pixel, self.face = None, None
+        if f"{prefix}pixel.v_std" in state_dict:
+            self.pixel = pixel(f"{prefix}pixel")
+        if f"{prefix}face.n" in state_dict:
+            parts = {name: state_dict[f"{prefix}face.{name}"].clone() for name in FACE_PARTS}
+            self.face = FaceLoadings(**parts, residual=pixel(f"{prefix}face.residual"))
+        self.to(self.lights)
+        self.store, self._key = None, None
+        super()._load_from_state_dict(state_dict, prefix, *rest)
 
     def mean_images(self) -> Tensor:
         """The average face under every bootstrap light, ``n^T s + v`` of the means, ``(J, H, W)``."""
@@ -276,7 +296,7 @@ class FaceStatistics(nn.Module):
             setattr(statistics, name, tensors[name])
         statistics.pixel = pixel("pixel")
         if "face.n" in tensors:
-            parts = {name: tensors[f"face.{name}"] for name in ("n", "v", "basis", "v_power", "temper")}
+            parts = {name: tensors[f"face.{name}"] for name in FACE_PARTS}
             statistics.face = FaceLoadings(**parts, residual=pixel("face.residual"))
         return statistics
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Hashable, Iterable, Iterator, Sequence
-from typing import Literal, Self
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from typing import Any, Literal, Self
 
 import torch
 from torch import Tensor, nn
 
+from facerelight.numerics.buffers import Learned
 from facerelight.numerics.checks import check_radiance
 
 Reject = float | Literal["fit"] | None
@@ -16,7 +17,7 @@ Reject = float | Literal["fit"] | None
 __all__ = ["Classifier", "Reject", "SumClassifier"]
 
 
-class Classifier(nn.Module):
+class Classifier(Learned):
     """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``,
     rejection of strangers.
 
@@ -37,6 +38,7 @@ class Classifier(nn.Module):
         self.normalizer = normalizer or nn.Identity()
         self.reject, self.shift = reject, shift
         self.classes_: list[Hashable] | None = None
+        self.dtype_ = torch.float32  # of the exemplars, in which they are compared
         self.size_: tuple[int, int] | None = None  # of the exemplars, height and width
         self.threshold_: float | None = None if reject == "fit" else reject
 
@@ -76,11 +78,27 @@ class Classifier(nn.Module):
         self.classes_ = sorted(set(labels), key=str)
         self.size_ = (exemplars.shape[1], exemplars.shape[2])
         place = {label: i for i, label in enumerate(self.classes_)}
-        return self._rows(exemplars), torch.tensor([place[label] for label in labels])
+        self.dtype_ = torch.promote_types(exemplars.dtype, torch.float32)
+        index = torch.tensor([place[label] for label in labels]).to(exemplars.device)
+        return self._rows(exemplars), index
 
     def _rows(self, images: Tensor) -> Tensor:
         """Normalised images as rows."""
-        return self._flatten(self.normalizer(images.float()))
+        return self._flatten(self.normalizer(images.to(self.dtype_)))
+
+    def get_extra_state(self) -> dict[str, object]:
+        """What of the fitted classifier is no tensor: who is enrolled, the threshold, the images' size and dtype."""
+        return {"classes": self.classes_, "threshold": self.threshold_, "size": self.size_, "dtype": self.dtype_}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """See :meth:`get_extra_state`."""
+        self.classes_, self.threshold_ = state["classes"], state["threshold"]
+        self.size_, self.dtype_ = state["size"], state["dtype"]
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """``.double()`` and the like: probes are then converted, too."""
+        self.dtype_ = fn(torch.zeros(0, dtype=self.dtype_)).dtype
+        return super()._apply(fn, recurse)
 
     def _flatten(self, images: Tensor) -> Tensor:
         return images.flatten(1)
@@ -92,17 +110,18 @@ class Classifier(nn.Module):
         raise TypeError(f"{type(self).__name__} cannot score")
 
     def decision_function(self, images: Tensor) -> Tensor:
-        """Scores ``(M, C)`` of images ``(M, H, W)`` for each of ``classes_``; the highest wins."""
+        """Scores ``(M, C)`` of images ``(M, H, W)``, in their dtype, for each of ``classes_``; the highest wins."""
         if self.classes_ is None:
             raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
-        return self.compare(self.views(images))
+        return self.compare(self.views(images)).to(images.dtype)
 
     def views(self, images: Tensor) -> Iterator[Tensor]:
         """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend
         on who is enrolled."""
         self._check(images)
         steps = range(-self.shift, self.shift + 1)
-        return (self.normalizer(_moved(images.float(), down, right)) for down in steps for right in steps)
+        images = images.to(self.dtype_)
+        return (self.normalizer(_moved(images, down, right)) for down in steps for right in steps)
 
     def _check(self, images: Tensor) -> None:
         """Images ``(M, H, W)`` of the exemplars' size, in radiance."""
@@ -144,8 +163,8 @@ def _moved(images: Tensor, down: int, right: int) -> Tensor:
     if down == right == 0:
         return images
     height, width = images.shape[1:]
-    rows = (torch.arange(height) - down).clamp(0, height - 1)
-    columns = (torch.arange(width) - right).clamp(0, width - 1)
+    rows = (torch.arange(height, device=images.device) - down).clamp(0, height - 1)
+    columns = (torch.arange(width, device=images.device) - right).clamp(0, width - 1)
     return images[:, rows][:, :, columns]
 
 

@@ -51,7 +51,7 @@ class GlobalPCAClassifier(Classifier):
     def _scores(self, rows: Tensor) -> Tensor:
         near = -torch.cdist((rows - self.mean) @ self.basis, self.projected)
         assert self.classes_ is not None
-        scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
+        scores = rows.new_full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 
 
@@ -123,6 +123,8 @@ class IndividualPCAClassifier(Classifier):
     def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
         """Add one person, or replace them, without touching the others."""
         check_radiance(exemplars, "exemplars", "M H W", self.size_ or (None, None))
+        if self.classes_ is None:
+            self.dtype_ = torch.promote_types(exemplars.dtype, torch.float32)
         rows = self._rows(exemplars)
         known = {} if self.classes_ is None else dict(zip(self.classes_, self._spaces(), strict=True))
         known[label] = principal_subspace(rows, self.dimension, self.error)
@@ -141,7 +143,7 @@ class IndividualPCAClassifier(Classifier):
             [nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces]
         )
         self.offsets = torch.einsum("cdk,cd->ck", self.bases, self.means)
-        self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces])
+        self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces]).to(self.means.device)
 
     def reconstruction_error(self, images: Tensor) -> Tensor:
         """``|x - x_c|^2`` of images ``(M, H, W)`` in each person's subspace, ``(M, C)``."""

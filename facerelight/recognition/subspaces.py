@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+
+from facerelight.numerics.buffers import Learned
 
 __all__ = ["IncrementalSubspace", "Subspace", "principal_angles", "principal_subspace"]
 
@@ -42,7 +44,7 @@ def principal_subspace(
     if not torch.isfinite(exemplars).all():
         raise ValueError("exemplars: expected finite values, got NaN or infinity")
     share = (
-        torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype)
+        torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype, device=exemplars.device)
         if weights is None
         else weights / weights.sum()
     )
@@ -71,7 +73,7 @@ def principal_angles(a: Tensor, b: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos(cosine))
 
 
-class IncrementalSubspace(nn.Module):
+class IncrementalSubspace(Learned):
     """A PCA subspace that grows image by image (Chandrasekaran et al. 1997): only images that it represents badly
     change it.
 

@@ -44,6 +44,9 @@ class ViewSource(Protocol):
     def fields(self, views: Sequence[Any]) -> ViewFields: ...
 
 
+ROUNDING = 1e-6  # of a unit vector's length
+
+
 def check_view_images(images: Tensor, source_views: Sequence[Any], size: tuple[int, int]) -> None:
     """Images ``(B, K, H, W)`` in radiance, and a view for each of K >= 1; else a ``ValueError``."""
     check_radiance(images, "images", "B K H W", size)
@@ -73,7 +76,8 @@ class LightViews:
         height, width = statistics.size
         grams = gather_grams(statistics.store, statistics.lights, statistics.options.block)
         images = fill_missing(statistics.store.block(0, height * width), fill_operators(grams))
-        n = torch.linalg.pinv(statistics.lights.double()).float() @ images
+        images = images.to(statistics.lights)
+        n = torch.linalg.pinv(statistics.lights.double()).to(images) @ images
         v = images - statistics.lights @ n
         self._n, deviation = n - n.mean(0), v - v.mean(0)
         length = deviation.square().sum(0).sqrt()  # (J, P)
@@ -91,12 +95,13 @@ class LightViews:
     def fields(self, views: Sequence[Tensor] | Tensor) -> ViewFields:
         """Fields under lights ``(V, 3)``: ``n^T s`` and ``sigma(s) w(s).(v / sigma)`` (3.13, 4.5, 4.6)."""
         try:
-            lights = torch.stack([torch.as_tensor(view, dtype=torch.float32) for view in views])
+            lights = torch.stack([torch.as_tensor(view).to(self.statistics.lights) for view in views])
         except (RuntimeError, TypeError, ValueError) as error:
             raise ValueError(f"views: expected a light (3,) each, got {views!r}") from error
         if lights.dim() != 2:
             raise ValueError(f"views: expected a light (3,) each, got {tuple(lights.shape[1:])}")
-        lights = unit_lights(lights)
+        length = torch.linalg.vector_norm(lights, dim=1, keepdim=True)
+        lights = torch.where((length - 1).abs() < ROUNDING, lights, unit_lights(lights))
         weights = self.statistics.weights(lights)  # (V, J)
         std = (weights @ self._std.square()).sqrt()  # (V, P)
         mixed = torch.einsum("vj,njp->vnp", weights, self._unit)
