@@ -2,7 +2,7 @@
 
 import copy
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 import torch
@@ -271,10 +271,22 @@ def test_the_second_device_refuses_the_first() -> None:
             away @ torch.rand(3, 3)
 
 
+@pytest.fixture(params=["emulated", "a GPU"])
+def second(request: pytest.FixtureRequest) -> Iterator[torch.device]:
+    """A device that is not the CPU, for the length of a test."""
+    if request.param == "a GPU":
+        if not torch.cuda.is_available():
+            pytest.skip("needs a GPU")
+        yield torch.device("cuda", 0)
+    else:
+        with Elsewhere():
+            yield AWAY
+
+
 @pytest.mark.parametrize("covariance", MODELS)
 @pytest.mark.parametrize("brightness", [False, True])
 def test_everything_stays_on_one_device(
-    people: torch.Tensor, lights: torch.Tensor, covariance: str, brightness: bool
+    people: torch.Tensor, lights: torch.Tensor, covariance: str, brightness: bool, second: torch.device
 ) -> None:
     statistics = FaceStatistics.fit(people[:6], lights, rank=3, face_rank=3, brightness=brightness)
     kernel = KernelIlluminationEstimator.fit(people[:6], lights)
@@ -285,38 +297,36 @@ def test_everything_stays_on_one_device(
         StatisticalRelighter(statistics, covariance, kernel)(images, targets, s, m, draws=2)
         for s, m in ((sources, "expected"), (None, "expected"), (None, "map"), (sources, "mle"))
     ]
-    with Elsewhere():
-        away = [tensor.to(AWAY) for tensor in (images, targets, sources, masks)]
-        relighter = StatisticalRelighter(statistics, covariance, kernel).to(AWAY)
-        there = [
-            relighter(away[0], away[1], s, m, draws=2)
-            for s, m in ((away[2], "expected"), (None, "expected"), (None, "map"), (away[2], "mle"))
-        ]
-        for a, b in zip(here, there, strict=True):
-            assert b.mean.device == b.variance.device == AWAY
-            assert torch.allclose(b.mean.cpu(), a.mean, atol=1e-5)
-            assert torch.allclose(b.variance.cpu(), a.variance, atol=1e-5)
-        masked = relighter.condition(away[0], away[2], mask=away[3])
-        assert masked.mean(away[1]).device == AWAY
-        if covariance == "face":
-            assert masked.code().device == AWAY
-        assert relighter.condition(away[0], away[2], register=True).mean(away[1]).device == AWAY
-        moved = likelihood.to(AWAY)
-        assert moved(away[0], away[3]).direction.device == moved.sample(away[0], 3).device == AWAY
-        made = LikelihoodIlluminationEstimator(relighter.statistics, count=20)
-        assert made(away[0]).direction.device == AWAY
+    away = [tensor.to(second) for tensor in (images, targets, sources, masks)]
+    relighter = StatisticalRelighter(statistics, covariance, kernel).to(second)
+    there = [
+        relighter(away[0], away[1], s, m, draws=2)
+        for s, m in ((away[2], "expected"), (None, "expected"), (None, "map"), (away[2], "mle"))
+    ]
+    for a, b in zip(here, there, strict=True):
+        assert b.mean.device == b.variance.device == second
+        assert torch.allclose(b.mean.cpu(), a.mean, atol=1e-5)
+        assert torch.allclose(b.variance.cpu(), a.variance, atol=1e-5)
+    masked = relighter.condition(away[0], away[2], mask=away[3])
+    assert masked.mean(away[1]).device == second
+    if covariance == "face":
+        assert masked.code().device == second
+    assert relighter.condition(away[0], away[2], register=True).mean(away[1]).device == second
+    moved = likelihood.to(second)
+    assert moved(away[0], away[3]).direction.device == moved.sample(away[0], 3).device == second
+    made = LikelihoodIlluminationEstimator(relighter.statistics, count=20)
+    assert made(away[0]).direction.device == second
 
 
-def test_fits_stay_on_one_device(people: torch.Tensor, lights: torch.Tensor) -> None:
+def test_fits_stay_on_one_device(people: torch.Tensor, lights: torch.Tensor, second: torch.device) -> None:
     images, labels = people[:4, :6].flatten(0, 1), [i for i in range(4) for _ in range(6)]
-    with Elsewhere():
-        learned = FaceStatistics.fit(people[:6].to(AWAY), lights.to(AWAY), rank=3, face_rank=2)
-        assert {tensor.device for tensor in learned.state_dict().values()} == {AWAY}
-        kernel = KernelIlluminationEstimator.fit(people[:6].to(AWAY), lights.to(AWAY))
-        assert kernel(people[12:13, :2].to(AWAY)).direction.device == AWAY
-        for name, make in CLASSIFIERS.items():
-            if name == "gaussian":
-                make = lambda: GaussianClassifier(1, 2)  # noqa: E731  k-means is SciPy's
-            classifier = make().fit(images.to(AWAY), labels)
-            assert classifier.decision_function(images.to(AWAY)).device == AWAY, name
-            assert len(classifier.predict(images.to(AWAY))) == 24
+    learned = FaceStatistics.fit(people[:6].to(second), lights.to(second), rank=3, face_rank=2)
+    assert {tensor.device for tensor in learned.state_dict().values()} == {second}
+    kernel = KernelIlluminationEstimator.fit(people[:6].to(second), lights.to(second))
+    assert kernel(people[12:13, :2].to(second)).direction.device == second
+    for name, make in CLASSIFIERS.items():
+        if name == "gaussian":
+            make = lambda: GaussianClassifier(1, 2)  # noqa: E731  k-means is SciPy's
+        classifier = make().fit(images.to(second), labels)
+        assert classifier.decision_function(images.to(second)).device == second, name
+        assert len(classifier.predict(images.to(second))) == 24

@@ -82,7 +82,7 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         self.register_buffer("std", torch.stack(stds))
         self.register_buffer("loadings", torch.stack(rows) if rows else grid.new_zeros(len(grid), len(places), 0))
         self.register_buffer("factor", torch.stack(factors) if factors else grid.new_zeros(len(grid), 0, 0).double())
-        self.register_buffer("temper", grid.new_tensor(64.0))
+        self.register_buffer("temper", torch.tensor(64.0).to(grid))
 
     def get_extra_state(self) -> dict[str, object]:
         """The size of the images that its places are in."""
@@ -195,5 +195,5 @@ def _lit(images: Tensor) -> Tensor:
 
 def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:
     """``hemisphere`` and its mirror image behind the face, as far as bootstrap ``lights`` come near."""
-    sphere = torch.cat((hemisphere, hemisphere * hemisphere.new_tensor((1.0, 1.0, -1.0))))
+    sphere = torch.cat((hemisphere, hemisphere * torch.tensor((1.0, 1.0, -1.0)).to(hemisphere)))
     return sphere[angular_distance(sphere[:, None], lights[None]).amin(1) < REACH]
