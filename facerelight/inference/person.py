@@ -91,7 +91,7 @@ class PersonPosterior:
         self.n_map += self.prior_share * statistics.n_mean.flatten(1)
         self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
-    def _add(self, images: Tensor, lights: Tensor, share: float) -> None:
+    def _add(self, images: Tensor, lights: Tensor, of_all: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
@@ -107,10 +107,10 @@ class PersonPosterior:
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
-            self._explain(code[:, 0].to(images), share * gain)
+            self._explain(code[:, 0].to(images), of_all * gain)
         solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T  # g, (K, P)
         self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
-        share = share * gain
+        share = of_all * gain
         self.n_map += share * statistics.n_mean.flatten(1)
         self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses

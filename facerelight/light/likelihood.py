@@ -58,7 +58,8 @@ class LikelihoodIlluminationEstimator(LightEstimator):
 
     def __init__(self, statistics: FaceStatistics, count: int = 300, pixels: int = 700) -> None:
         super().__init__()
-        self.size = height, width = statistics.size
+        self.size: tuple[int, int] = statistics.size
+        height, width = self.size
         stride = max(1, round((height * width / pixels) ** 0.5))
         index = torch.arange(height * width, device=statistics.lights.device).view(height, width)
         places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()

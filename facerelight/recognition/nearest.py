@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.recognition.classifier import Classifier, Reject
+from facerelight.recognition.subspaces import distances
 
 __all__ = ["NearestNeighborClassifier"]
 
@@ -56,7 +57,7 @@ class NearestNeighborClassifier(Classifier):
         if self.metric == "l0":
             near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).to(rows) for row in rows])
         else:
-            near = -torch.cdist(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
+            near = -distances(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
         assert self.classes_ is not None
         scores = rows.new_full((len(rows), len(self.classes_)), -torch.inf)
         scores = scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")

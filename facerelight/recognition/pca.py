@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from facerelight.numerics.checks import check_radiance
 from facerelight.recognition.classifier import Classifier, Reject
-from facerelight.recognition.subspaces import Subspace, principal_subspace
+from facerelight.recognition.subspaces import Subspace, distances, principal_subspace
 
 __all__ = ["GlobalPCAClassifier", "IndividualPCAClassifier"]
 
@@ -49,7 +49,7 @@ class GlobalPCAClassifier(Classifier):
         self.projected = (rows - self.mean) @ self.basis
 
     def _scores(self, rows: Tensor) -> Tensor:
-        near = -torch.cdist((rows - self.mean) @ self.basis, self.projected)
+        near = -distances((rows - self.mean) @ self.basis, self.projected)
         assert self.classes_ is not None
         scores = rows.new_full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")

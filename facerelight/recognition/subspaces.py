@@ -9,7 +9,7 @@ from torch import Tensor
 
 from facerelight.numerics.buffers import Learned
 
-__all__ = ["IncrementalSubspace", "Subspace", "principal_angles", "principal_subspace"]
+__all__ = ["IncrementalSubspace", "Subspace", "distances", "principal_angles", "principal_subspace"]
 
 
 class Subspace(NamedTuple):
@@ -65,6 +65,13 @@ def principal_subspace(
     if len(rows) <= rows.shape[1]:
         basis = (wide.T @ basis) / singular
     return Subspace(mean, basis.to(rows), singular.to(rows))
+
+
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """Euclidean distances ``(M, N)`` between rows ``(M, D)`` and ``(N, D)``, in their dtype: each is a difference of
+    large numbers, which float32 would lose among near twins, and so is worked out in float64, by parts."""
+    wide = a.double()
+    return torch.cat([torch.cdist(wide, part.double()) for part in b.split(1024)], 1).to(a)
 
 
 def principal_angles(a: Tensor, b: Tensor) -> Tensor:

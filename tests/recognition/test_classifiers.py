@@ -373,3 +373,12 @@ def test_k_nearest_neighbours_vote_as_in_scikit_learn() -> None:
         assert [ours[i] for i in clear] == [int(votes[i].argmax()) for i in clear]
     with pytest.raises(ValueError, match="neighbors"):
         NearestNeighborClassifier(neighbors=0)
+
+
+@pytest.mark.parametrize("make", [NearestNeighborClassifier, functools.partial(GlobalPCAClassifier, 60)])
+def test_near_twins_find_themselves(make) -> None:
+    """200 people 0.03 grey levels apart: a difference of large numbers, which float32 would lose."""
+    generator = torch.Generator().manual_seed(0)
+    face = 0.3 + 0.5 * torch.rand(48, 42, generator=generator)
+    twins = face + 0.03 / 255 * torch.randn(200, 48, 42, generator=generator)
+    assert make().fit(twins, list(range(200))).score(twins, list(range(200))) == 1.0
