@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from facerelight.numerics.checks import check_radiance
 from facerelight.recognition.classifier import Classifier, Reject
-from facerelight.recognition.subspaces import Subspace, distances, principal_subspace
+from facerelight.recognition.subspaces import IncrementalSubspace, Subspace, distances, principal_subspace
 
 __all__ = ["GlobalPCAClassifier", "IndividualPCAClassifier"]
 
 
 class GlobalPCAClassifier(Classifier):
-    """The nearest exemplar in one PCA subspace of all exemplars (6.1).
+    """The nearest exemplar in one PCA subspace of all exemplars (6.1), which more people can join one by one.
 
     Args:
         dimension: of the subspace; None: by 1 % reconstruction error.
@@ -26,6 +26,7 @@ class GlobalPCAClassifier(Classifier):
 
     mean: Tensor
     basis: Tensor
+    singular: Tensor
     projected: Tensor
     index: Tensor
 
@@ -39,14 +40,41 @@ class GlobalPCAClassifier(Classifier):
     ) -> None:
         super().__init__(normalizer, reject, shift)
         self.dimension, self.error = dimension, error
-        for name in ("mean", "basis", "projected"):
+        for name in ("mean", "basis", "singular", "projected"):
             self.register_buffer(name, torch.zeros(0))
         self.register_buffer("index", torch.zeros(0, dtype=torch.long))
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:
         space = principal_subspace(rows, self.dimension, self.error)
         self.mean, self.basis, self.index = space.mean, space.basis, index
+        self.singular = space.singular * len(rows) ** 0.5  # of the exemplars themselves
         self.projected = (rows - self.mean) @ self.basis
+
+    def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
+        """Add exemplars ``(M, H, W)`` of one person, new or known, where the others' are no longer at hand: only those
+        that the subspace represents badly change it (Chandrasekaran et al. 1997); the mean stays that of :meth:`fit`.
+
+        Raises:
+            RuntimeError: nothing is learned yet.
+            ValueError: exemplars of another size, or none.
+        """
+        if self.classes_ is None:
+            raise RuntimeError("GlobalPCAClassifier: nothing is learned yet; call fit first")
+        self._check(exemplars)
+        if not len(exemplars):
+            raise ValueError("exemplars: expected (M, H, W) with M >= 1, got none")
+        rows = self._rows(exemplars) - self.mean
+        space = IncrementalSubspace(rows.shape[1], self.error, self.dimension or 200)
+        space.basis, space.singular = self.basis.double(), self.singular.double()
+        for row in rows:
+            space.add(row)
+        turn = space.basis.to(self.basis).T @ self.basis  # what was projected, seen in the new basis
+        self.basis, self.singular = space.basis.to(self.basis), space.singular.to(self.basis)
+        self.projected = torch.cat((self.projected @ turn.T, rows @ self.basis))
+        owners = [self.classes_[i] for i in self.index.tolist()] + [label] * len(rows)
+        self.classes_ = sorted(set(owners), key=str)
+        self.index = torch.tensor([self.classes_.index(owner) for owner in owners]).to(rows.device)
+        return self
 
     def _scores(self, rows: Tensor) -> Tensor:
         near = -distances((rows - self.mean) @ self.basis, self.projected)

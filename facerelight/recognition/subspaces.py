@@ -115,12 +115,12 @@ class IncrementalSubspace(Learned):
         length = torch.linalg.vector_norm(left)
         if length**2 <= self.error * x.square().sum() or length < 1e-12:
             return False
-        middle = torch.diag(torch.cat((self.singular, torch.zeros(1, dtype=torch.float64))))
+        middle = torch.diag(torch.cat((self.singular, self.singular.new_zeros(1))))
         middle[:, -1] = torch.cat((inside, length[None]))
         u, s, _ = torch.linalg.svd(middle)
         grown = torch.cat((self.basis, (left / length)[:, None]), 1) @ u
         self.basis, self.singular = grown[:, : self.capacity], s[: self.capacity]
-        drift = (self.basis.T @ self.basis - torch.eye(self.basis.shape[1], dtype=torch.float64)).abs().max()
+        drift = (self.basis.T @ self.basis - torch.eye(self.basis.shape[1]).to(self.basis)).abs().max()
         if drift > 1e-6:
             q, r = torch.linalg.qr(self.basis * self.singular)
             u, s, _ = torch.linalg.svd(r)
