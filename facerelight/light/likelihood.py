@@ -85,14 +85,13 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         self.register_buffer("factor", torch.stack(factors) if factors else grid.new_zeros(len(grid), 0, 0).double())
         self.register_buffer("temper", torch.tensor(64.0).to(grid))
 
-    def get_extra_state(self) -> dict[str, object]:
+    def get_extra_state(self) -> dict[str, tuple[int, int]]:
         """The size of the images that its places are in."""
         return {"size": self.size}
 
-    def set_extra_state(self, state: dict[str, object]) -> None:
+    def set_extra_state(self, state: dict[str, tuple[int, int]]) -> None:
         """See :meth:`get_extra_state`."""
-        height, width = state["size"]  # type: ignore[misc]
-        self.size = (height, width)
+        self.size = state["size"]
 
     def spacing(self) -> float:
         """Distance between neighbours in the grid, in radians."""
