@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
-from facerelight.numerics.buffers import Learned
+from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_mask, check_radiance
 from facerelight.numerics.sampling import quasi_normal
 
@@ -52,7 +52,7 @@ class GaussianBelief(NamedTuple):
         return self.direction[:, None] + noise @ self.error_factor.T.to(self.direction)  # (B, count, K, 3)
 
 
-class LightEstimator(Learned):
+class LightEstimator(LearnedModule):
     """Finds the light of images; subclasses implement :meth:`locate`."""
 
     def locate(self, images: Tensor, mask: Tensor | None) -> LightBelief:

@@ -19,7 +19,7 @@ from facerelight.model.compression import checksum
 from facerelight.model.file import KEY_LENGTH, read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
 from facerelight.model.learning import FitOptions, learn
-from facerelight.numerics.buffers import Learned
+from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
 from facerelight.numerics.kernels import kernel_weights
 
@@ -29,7 +29,7 @@ FACE_PARTS = ("n", "v", "basis", "v_power", "temper")
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 
 
-class PixelStatistics(Learned):
+class PixelStatistics(LearnedModule):
     """Second-order statistics of n and of v at the J bootstrap lights, pixel by pixel (4.3).
 
     Buffers: ``n_factor (3, 3, H, W)`` with ``C_n = L L^T``; ``v_std (J, H, W)``; ``v_factor (J, r, H, W)``, the factor
@@ -47,7 +47,7 @@ class PixelStatistics(Learned):
         self.register_buffer("v_factor", v_factor)
 
 
-class FaceLoadings(Learned):
+class FaceLoadings(LearnedModule):
     """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``,
     ``c ~ N(0, I_k)``.
 
@@ -71,7 +71,7 @@ class FaceLoadings(Learned):
         self.residual = residual
 
 
-class FaceStatistics(Learned):
+class FaceStatistics(LearnedModule):
     """Statistics of n and v learned from a bootstrap, as registered buffers.
 
     Build them with :meth:`fit`, or subject by subject: ``FaceStatistics(lights)``, :meth:`update` for each,

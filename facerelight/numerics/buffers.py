@@ -6,10 +6,10 @@ from typing import Any
 
 from torch import Tensor, nn
 
-__all__ = ["Learned"]
+__all__ = ["LearnedModule"]
 
 
-class Learned(nn.Module):
+class LearnedModule(nn.Module):
     """A module with learned buffers: ``load_state_dict`` works into a fresh object as into a fitted one, whatever their
     sizes; it keeps its own dtype and device once it has learned."""
 

@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 import torch
 from torch import Tensor, nn
 
-from facerelight.numerics.buffers import Learned
+from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_radiance
 
 Reject = float | Literal["fit"] | None
@@ -17,7 +17,7 @@ Reject = float | Literal["fit"] | None
 __all__ = ["Classifier", "Reject", "SumClassifier"]
 
 
-class Classifier(Learned):
+class Classifier(LearnedModule):
     """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``,
     rejection of strangers.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.buffers import Learned
+from facerelight.numerics.buffers import LearnedModule
 
 __all__ = ["IncrementalSubspace", "Subspace", "distances", "principal_angles", "principal_subspace"]
 
@@ -80,7 +80,7 @@ def principal_angles(a: Tensor, b: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos(cosine))
 
 
-class IncrementalSubspace(Learned):
+class IncrementalSubspace(LearnedModule):
     """A PCA subspace that grows image by image (Chandrasekaran et al. 1997): only images that it represents badly
     change it.
 
