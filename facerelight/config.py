@@ -14,6 +14,7 @@ import torch
 from platformdirs import user_cache_path
 from torch import Tensor
 
+from facerelight import __version__
 from facerelight.bootstrap.domain import Domain
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import even_hemisphere, light_from_angles, merge_repeats, thesis_grid
@@ -33,6 +34,10 @@ __all__ = [
 
 PACKAGED = Path(__file__).parent / "data" / "standard"
 """The statistics of :data:`DEFAULT_CONFIG` that the package brings; ``scripts/data/pack_statistics.py`` makes them."""
+
+
+FIRST_RELEASE = "0.1"
+MESH_FILES = (".obj", ".ply", ".glb", ".txt")  # meshes and their marked points
 
 
 @dataclass(frozen=True)
@@ -99,9 +104,21 @@ class TrainConfig:
             lights = thesis_grid() if self.lights == "paper" else even_hemisphere(int(self.lights))
         return merge_repeats(lights)[0]
 
+    def identity(self) -> dict[str, object]:
+        """All that images and statistics of this config depend on: its fields, the meshes as they are on disk, and the
+        package's minor version (patches change no picture; that of the first release goes without saying)."""
+        fields: dict[str, object] = asdict(self)
+        place = Path(self.source)
+        if self.source != "makehuman":
+            files = sorted(p for p in place.glob("*") if p.suffix.lower() in MESH_FILES) if place.is_dir() else [place]
+            sizes = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
+            fields |= {"source": str(place.resolve()), "meshes": sizes}
+        minor = __version__.rpartition(".")[0]
+        return fields if minor == FIRST_RELEASE else {**fields, "version": minor}
+
     def key(self) -> str:
         """A short name that changes whenever the statistics would."""
-        text = json.dumps([FORMAT_VERSION, asdict(self)], sort_keys=True)
+        text = json.dumps([FORMAT_VERSION, self.identity()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

@@ -22,6 +22,7 @@ from safetensors.torch import load_file, save_file
 from facerelight.cli import main
 from facerelight.model.statistics import FaceStatistics
 from facerelight.photo.files.disk import read_photo
+from facerelight.recognition.gallery import GALLERY_VERSION
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
 MARKS = "20,24,44,24,32,44"
@@ -241,7 +242,9 @@ def bad_galleries() -> dict[str, tuple[bytes, str]]:
 
     notes = {
         "format": "facerelight-gallery",
-        "version": 2,
+        "version": GALLERY_VERSION,
+        "statistics": "0123456789abcdef",
+        "crop": [48, 42, 0.25],
         "names": ["a"],
         "photometric": "weber",
         "dimension": 2,
@@ -258,6 +261,8 @@ def bad_galleries() -> dict[str, tuple[bytes, str]]:
         "gallery_no_names": (good, "{}"),
         "gallery_not_json": (good, "{"),
         "gallery_list": (good, "[]"),
+        "gallery_other_statistics": (good, text),
+        "gallery_no_statistics": (good, json.dumps({k: v for k, v in notes.items() if k != "statistics"})),
         "gallery_future": (good, json.dumps({**notes, "version": 7})),
         "gallery_more_names": (good, json.dumps({**notes, "names": ["a", "b"]})),
         "gallery_odd_filter": (good, json.dumps({**notes, "photometric": "sepia"})),

@@ -19,6 +19,7 @@ import platformdirs
 
 from facerelight.geometry.lights import even_hemisphere, light_from_angles
 from facerelight.geometry.sources import Lamp
+from facerelight.model.file import replacing
 
 __all__ = ["HEIGHT", "TONES", "WIDTH", "LampImage", "ScannedHead", "decode_srgb", "encode_srgb", "lamp_points"]
 
@@ -113,10 +114,8 @@ class ScannedHead:
                 return {key: stored[key] for key in stored.files}
         arrays = make()
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".part")
-        with partial.open("wb") as file:
+        with replacing(path) as partial, partial.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
-        partial.replace(path)
         return arrays
 
     @cached_property

@@ -51,7 +51,12 @@ def light_from_angles(azimuth: Tensor | float, elevation: Tensor | float) -> Ten
         raise ValueError("light angles: expected finite degrees, got NaN or infinity")
     if (rise.abs() > 90).any():
         raise ValueError(f"elevation: expected degrees in [-90, 90], got {float(rise.abs().max()):g} in magnitude")
-    turn, rise = torch.broadcast_tensors(torch.deg2rad(turn), torch.deg2rad(rise))
+    try:
+        turn, rise = torch.broadcast_tensors(torch.deg2rad(turn), torch.deg2rad(rise))
+    except RuntimeError as error:
+        raise ValueError(
+            f"light angles: expected shapes that fit together, got {tuple(turn.shape)} and {tuple(rise.shape)}"
+        ) from error
     horizontal = torch.cos(rise)
     return torch.stack((-horizontal * torch.sin(turn), torch.sin(rise), horizontal * torch.cos(turn)), dim=-1)
 
@@ -80,6 +85,8 @@ def angle_pairs(lights: Tensor) -> list[tuple[float, float]]:
 
 def unit_lights(lights: Tensor) -> Tensor:
     """``lights`` ``(..., 3)`` scaled to unit length; a zero or non-finite light is a ``ValueError``."""
+    if not isinstance(lights, Tensor):
+        raise ValueError(f"lights: expected a tensor (..., 3), got {type(lights).__name__}; try torch.as_tensor")
     if lights.shape[-1:] != (3,) or not lights.is_floating_point():
         raise ValueError(f"lights: expected floating (..., 3), got {lights.dtype} {tuple(lights.shape)}")
     length = torch.linalg.vector_norm(lights, dim=-1, keepdim=True)

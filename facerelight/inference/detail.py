@@ -11,6 +11,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from facerelight.numerics.blur import gaussian_blur
+from facerelight.numerics.checks import check_finite, check_radiance
 from facerelight.numerics.luminance import NOISE_FLOOR
 
 __all__ = ["keep_detail"]
@@ -39,10 +40,15 @@ def keep_detail(relit: Tensor, photo: Tensor, strength: float = 0.5) -> Tensor:
         >>> keep_detail(torch.rand(2, 5, 48, 42), photo).shape
         torch.Size([2, 5, 48, 42])
     """
+    for name, images in (("relit", relit), ("photo", photo)):
+        if not isinstance(images, Tensor):
+            raise ValueError(f"{name}: expected a tensor, got {type(images).__name__}; try torch.as_tensor")
     if relit.dim() < 3 or photo.shape != (*relit.shape[:-3], *relit.shape[-2:]):
         raise ValueError(
             f"photo: expected (..., H, W) for relit (..., Q, H, W), got {tuple(photo.shape)} for {tuple(relit.shape)}"
         )
+    check_radiance(photo, "photo", " ".join("." * (photo.dim() - 2)) + " H W")
+    check_finite(relit, "relit", "radiance")
     if not 0 <= strength <= 1:
         raise ValueError(f"strength: expected 0 to 1, got {strength}")
     exchange = _detail(photo).unsqueeze(-3) / _detail(relit)

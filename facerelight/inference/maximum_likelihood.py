@@ -73,6 +73,9 @@ class MaximumLikelihood:
 
     def relight(self, targets: Tensor) -> Relit:
         """Mean and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
+        if not len(targets):
+            empty = self.lights.new_zeros(0, *self.statistics.size)
+            return Relit(empty, empty)
         mean, variance = (
             torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True)
         )

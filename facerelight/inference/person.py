@@ -46,7 +46,7 @@ class _Evidence(NamedTuple):
     solved: Tensor
     cholesky: Tensor
     inputs: Tensor | None  # whitened loadings L^-1 L_y, (P, K, k)
-    gain: float  # the person's brightness
+    gain: Tensor  # (), float64, the person's brightness
 
 
 class PersonPosterior:
@@ -91,7 +91,7 @@ class PersonPosterior:
         self.n_map += self.prior_share * statistics.n_mean.flatten(1)
         self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
-    def _add(self, images: Tensor, lights: Tensor, share: float) -> None:
+    def _add(self, images: Tensor, lights: Tensor, of_all: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
@@ -107,10 +107,10 @@ class PersonPosterior:
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
             self.codes.append((code, spread))
             whitened = whitened - inputs @ code
-            self._explain(code[:, 0].to(images), share * gain)
+            self._explain(code[:, 0].to(images), of_all * gain)
         solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T  # g, (K, P)
         self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
-        share *= gain
+        share = of_all * gain
         self.n_map += share * statistics.n_mean.flatten(1)
         self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses
@@ -130,20 +130,20 @@ class PersonPosterior:
             self._left = 1 - self.pixel.v_factor.flatten(2).square().sum(1)
         return self._left
 
-    def _gain(self, images: Tensor, terms: LightTerms) -> float:
+    def _gain(self, images: Tensor, terms: LightTerms) -> Tensor:
         """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as
         its noise demands."""
         spread = float(self.statistics.gain_spread)
         if spread == 0:
-            return 1.0
+            return images.new_ones((), dtype=torch.float64)
         expected = terms.mean  # (K, P)
         weight = torch.ones_like(expected[0]) if self.visible is None else self.visible.to(expected)
         # (K,)
         read = ((images * expected) @ weight / (expected.square() @ weight).clamp_min(1e-12)).clamp_min(1e-3).log()
         trust = 1 / (terms.weights @ self.statistics.gain_noise).square()
-        return float(torch.exp((read * trust).sum() / (1 / spread**2 + trust.sum())))
+        return torch.exp((read * trust).sum() / (1 / spread**2 + trust.sum())).double()
 
-    def _explain(self, code: Tensor, share: float) -> None:
+    def _explain(self, code: Tensor, share: Tensor) -> None:
         """Move the mean maps by what the whole-face code says."""
         face = self.face
         assert face is not None
@@ -169,6 +169,8 @@ class PersonPosterior:
         mixed, maps = torch.cat((weights, targets), 1), torch.cat((self.v_map, self.n_map))  # (Q, J + 3), (J + 3, P)
         near = [self._near(targets, evidence) for evidence in self.evidence]
         count, pixels = len(targets), maps.shape[1]
+        if torch.is_grad_enabled() and any(part.requires_grad for part in (mixed, maps, self.pull)):
+            return self._graph_mean(mixed, maps, near)
         image = maps.new_empty(count, pixels)
         # Fresh memory for every block would cost as much as the products.
         scratch = maps.new_empty(2, count * min(pixels, PIXELS_AT_ONCE))
@@ -181,6 +183,16 @@ class PersonPosterior:
                 if len(rows):
                     block[rows] += self._narrow(weights[rows], kernel, evidence, here)
             image[:, here] = block
+        return image
+
+    def _graph_mean(self, mixed: Tensor, maps: Tensor, near: list[tuple[Tensor, Tensor]]) -> Tensor:
+        """:meth:`mean` for back-propagation, which allows no buffer to be used twice; ``mixed (Q, J + 3)``."""
+        weights = mixed[:, :-3]
+        image = torch.addmm((weights @ self.v_variance).sqrt() * (weights @ self.pull), mixed, maps)
+        for evidence, (rows, kernel) in zip(self.evidence, near, strict=True):
+            if len(rows):
+                narrow = self._narrow(weights[rows], kernel, evidence, slice(None))
+                image = image.index_add(0, rows, narrow)
         return image
 
     def _near(self, targets: Tensor, evidence: _Evidence) -> tuple[Tensor, Tensor]:
@@ -245,4 +257,6 @@ class PersonPosterior:
             means.append(average)
             variances.append(prior if outputs is None else prior + outputs.square().sum(-1))
             weight.append(self.prior_share)
-        return Components(torch.stack(means), torch.stack(variances), torch.tensor(weight, dtype=prior.dtype))
+        return Components(
+            torch.stack(means), torch.stack(variances), torch.tensor(weight, dtype=prior.dtype).to(prior.device)
+        )

@@ -12,7 +12,7 @@ from facerelight.geometry.lights import unit_lights
 from facerelight.inference.person import PersonPosterior
 from facerelight.model.registration import undeform
 
-__all__ = ["Posterior", "Relit"]
+__all__ = ["Posterior", "Relit", "check_shape_of_lights"]
 
 
 class Relit(NamedTuple):
@@ -25,14 +25,20 @@ class Relit(NamedTuple):
 class Posterior:
     """Posteriors of a batch of B persons, ready to be rendered under as many lights as wanted.
 
-    ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place.
+    ``deformations (B, 6)`` say where the persons' faces lie beside the model's; None: in the same place. ``dtype`` is
+    that of the images that are rendered; None: the statistics'.
     """
 
     def __init__(
-        self, people: list[PersonPosterior], size: tuple[int, int], deformations: Tensor | None = None
+        self,
+        people: list[PersonPosterior],
+        size: tuple[int, int],
+        deformations: Tensor | None = None,
+        dtype: torch.dtype | None = None,
     ) -> None:
         self.people = people
         self.size = size
+        self.dtype = dtype
         self.deformations = deformations
 
     def mean(self, target_lights: Tensor) -> Tensor:
@@ -55,28 +61,36 @@ class Posterior:
 
     def code(self) -> Tensor:
         """The whole-face code, a compact description of the person, ``(B, k)``; zero where nothing was observed."""
+        if not self.people:
+            raise ValueError("code: expected one person or more, got none")
         first = self.people[0]
         if first.face is None:
             raise RuntimeError("code: expected a relighter with covariance='face'; the per-pixel model has none")
-        zero = torch.zeros(len(first.face.n))
+        zero = first.n_map.new_zeros(len(first.face.n))
         return torch.stack(
             [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
         )
 
     def _render(self, what: str, target_lights: Tensor) -> Tensor:
-        reference = self.people[0].n_map
-        targets = unit_lights(target_lights.to(reference))
-        if targets.dim() == 2:
-            targets = targets.expand(len(self.people), -1, -1)
-        if targets.dim() != 3 or len(targets) != len(self.people):
-            raise ValueError(
-                f"target lights: expected (Q, 3) or ({len(self.people)}, Q, 3), got {tuple(target_lights.shape)}"
-            )
+        targets = check_shape_of_lights(target_lights, len(self.people))
+        targets = unit_lights(targets.to(self.people[0].n_map) if self.people else targets)
+        if not targets.shape[0] or not targets.shape[1]:
+            return targets.new_zeros(*targets.shape[:2], *self.size, dtype=self.dtype)
         images = torch.stack(
             [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
         )
-        images = images.unflatten(-1, self.size)
+        images = images.unflatten(-1, self.size).to(self.dtype or images.dtype)
         if self.deformations is None:
             return images
         images = torch.stack([undeform(person, theta) for person, theta in zip(images, self.deformations, strict=True)])
         return images.clamp_min(0) if what == "variance" else images
+
+
+def check_shape_of_lights(target_lights: Tensor, people: int) -> Tensor:
+    """``(Q, 3)`` or ``(people, Q, 3)``, each person's own; always the latter comes back. Else a ``ValueError``."""
+    if not isinstance(target_lights, Tensor):
+        raise ValueError(f"target lights: expected a tensor, got {type(target_lights).__name__}; try torch.as_tensor")
+    shape = tuple(target_lights.shape)
+    if shape[-1:] != (3,) or len(shape) not in (2, 3) or (len(shape) == 3 and shape[0] != people):
+        raise ValueError(f"target lights: expected (Q, 3) or ({people}, Q, 3), got {shape}")
+    return target_lights if len(shape) == 3 else target_lights.expand(people, -1, -1)

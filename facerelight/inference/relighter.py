@@ -12,14 +12,16 @@ from facerelight.geometry.lights import unit_lights
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.person import PersonPosterior
-from facerelight.inference.posterior import Posterior, Relit
+from facerelight.inference.posterior import Posterior, Relit, check_shape_of_lights
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.compression import compress_estimator, decompress_estimator
 from facerelight.model.covariance import prior_mean
+from facerelight.model.file import replacing
 from facerelight.model.registration import deform
 from facerelight.model.registration import register as find_deformation
 from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.checks import check_mask, check_radiance, check_shape
 
 __all__ = ["StatisticalRelighter"]
 
@@ -89,14 +91,22 @@ class StatisticalRelighter(nn.Module):
             ValueError: shapes or values out of range.
             RuntimeError: a light is unknown and there is no estimator.
         """
-        images = self._checked(images)
+        given, images = images, self._checked(images)
+        if mask is not None:
+            mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
         if source_lights is None:
             source_lights = torch.full((*images.shape[:2], 3), float("nan"))
+        elif not isinstance(source_lights, Tensor) or source_lights.dim() < 2:
+            raise ValueError(f"source lights: expected a tensor (K, 3) or more of them, got {source_lights!r}")
         lights = source_lights.to(images)
         if lights.dim() == 2:
             lights = lights.expand(len(images), -1, -1)
         hypotheses = lights if lights.dim() == 4 else lights[:, None]
-        if hypotheses.dim() != 4 or (len(hypotheses), *hypotheses.shape[2:]) != (*images.shape[:2], 3):
+        if (
+            hypotheses.dim() != 4
+            or not hypotheses.shape[1]
+            or (len(hypotheses), *hypotheses.shape[2:]) != (*images.shape[:2], 3)
+        ):
             raise ValueError(
                 f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
                 f" got {tuple(source_lights.shape)}"
@@ -131,7 +141,7 @@ class StatisticalRelighter(nn.Module):
             PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
             for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
         ]
-        return Posterior(people, self.statistics.size, deformations)
+        return Posterior(people, self.statistics.size, deformations, given.dtype)
 
     def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
         """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""
@@ -181,39 +191,27 @@ class StatisticalRelighter(nn.Module):
 
     def _fixed_normal(self, images: Tensor, targets: Tensor, lights: Tensor | None) -> Relit:
         """The special case of 3.5.1, person by person."""
-        if lights is None or bool(lights.isnan().any()):
+        if lights is None or (isinstance(lights, Tensor) and bool(lights.isnan().any())):
             raise ValueError(
                 "method='mle': expected all source lights to be known; give `source_lights` or use method='expected'"
             )
-        lights, targets = lights.to(images), targets.to(images)
+        count, inputs = images.shape[:2]
+        targets = check_shape_of_lights(targets, count).to(images)
+        if isinstance(lights, Tensor) and lights.dim() == 2:
+            lights = lights.expand(count, -1, -1)
+        lights = check_shape(lights, "source lights", "B K 3", (count, inputs, 3)).to(images)
         people = [
-            MaximumLikelihood(self.statistics, person, lights if lights.dim() == 2 else lights[index]).relight(
-                targets if targets.dim() == 2 else targets[index]
-            )
-            for index, person in enumerate(images)
+            MaximumLikelihood(self.statistics, person, known).relight(wanted)
+            for person, known, wanted in zip(images, lights, targets, strict=True)
         ]
+        if not people:
+            empty = images.new_zeros(0, targets.shape[1], *images.shape[2:])
+            return Relit(empty, empty)
         return Relit(torch.stack([p.mean for p in people]), torch.stack([p.variance for p in people]))
 
     def _checked(self, images: Tensor) -> Tensor:
-        height, width = self.statistics.size
-        if images.dim() != 4 or tuple(images.shape[2:]) != (height, width):
-            raise ValueError(
-                f"images: expected (B, K, {height}, {width}), got {tuple(images.shape)};"
-                " align photos with facerelight.geometry.alignment first"
-            )
-        if not images.is_floating_point():
-            raise ValueError(
-                f"images: expected floating linear radiance in 0..1, got {images.dtype};"
-                " divide by 255 and decode sRGB first"
-            )
-        if not torch.isfinite(images).all():
-            raise ValueError("images: expected finite radiance, got NaN or infinity")
-        if images.numel() and float(images.abs().max()) > 20:
-            raise ValueError(
-                f"images: expected linear radiance with 1.0 = full scale, got values up to {float(images.max()):g};"
-                " divide by 255 or 65535?"
-            )
-        return images.to(self.statistics.n_mean)
+        """Aligned crops ``(B, K, H, W)``, see :mod:`facerelight.geometry.alignment`, in the statistics' dtype."""
+        return check_radiance(images, "images", "B K H W", self.statistics.size).to(self.statistics.n_mean)
 
     def save_pretrained(self, folder: str | Path, compress: float = False) -> None:
         """Write ``statistics.safetensors`` and, where there is a kernel estimator, ``estimator.safetensors`` into
@@ -234,16 +232,16 @@ class StatisticalRelighter(nn.Module):
             tensors = self.estimator.state_dict()
             if compress:
                 tensors = compress_estimator({k: v.cpu() for k, v in tensors.items()}, compress)
-            partial = folder / "estimator.safetensors.part"
-            save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
-            partial.replace(folder / "estimator.safetensors")
+            with replacing(folder / "estimator.safetensors") as partial:
+                tensors = {k: v.contiguous() for k, v in tensors.items()}
+                save_file(tensors, partial, metadata={"statistics": self.statistics.key})
         self.statistics.save(folder / "statistics.safetensors", compress)
 
     @classmethod
     def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
         """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have
         loadings."""
-        from safetensors import SafetensorError
+        from safetensors import SafetensorError, safe_open
         from safetensors.torch import load_file
 
         folder = Path(folder)
@@ -252,6 +250,10 @@ class StatisticalRelighter(nn.Module):
         estimator = None
         if path.exists():
             try:
+                with safe_open(path, framework="pt") as file:
+                    key = (file.metadata() or {}).get("statistics", statistics.key)
+                if key != statistics.key:
+                    raise ValueError(f"one of statistics {key} beside statistics {statistics.key}")
                 estimator = KernelIlluminationEstimator(**decompress_estimator(load_file(path)))
             except (OSError, SafetensorError, TypeError, ValueError) as error:
                 raise ValueError(

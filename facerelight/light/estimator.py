@@ -12,6 +12,8 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from facerelight.numerics.buffers import LearnedModule
+from facerelight.numerics.checks import check_mask, check_radiance
 from facerelight.numerics.sampling import quasi_normal
 
 __all__ = ["GaussianBelief", "LightBelief", "LightEstimate", "LightEstimator"]
@@ -50,7 +52,7 @@ class GaussianBelief(NamedTuple):
         return self.direction[:, None] + noise @ self.error_factor.T.to(self.direction)  # (B, count, K, 3)
 
 
-class LightEstimator(nn.Module):
+class LightEstimator(LearnedModule):
     """Finds the light of images; subclasses implement :meth:`locate`."""
 
     def locate(self, images: Tensor, mask: Tensor | None) -> LightBelief:
@@ -76,13 +78,19 @@ class LightEstimator(nn.Module):
 
         Quasi-random by default; ``independent=True`` draws as the thesis does. The same ``generator`` state gives the
         same lights. An image without any light has zero ones.
+
+        Raises:
+            ValueError: images, a mask or a count that are none.
         """
+        if not isinstance(count, int) or count < 1:
+            raise ValueError(f"count: expected at least 1 light an image, got {count!r}")
         belief = self._located(images, mask)
         drawn = nn.functional.normalize(belief.draw(count, generator, independent), dim=-1)  # (B, count, K, 3)
         lit = belief.direction[:, None].square().sum(-1, keepdim=True) > 0  # (B, 1, K, 1)
         return (drawn * lit).to(images)
 
     def _located(self, images: Tensor, mask: Tensor | None) -> LightBelief:
-        if images.dim() != 4:
-            raise ValueError(f"images: expected (B, K, H, W), got {tuple(images.shape)}")
+        check_radiance(images, "images", "B K H W")
+        if mask is not None:
+            mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
         return self.locate(images, mask)

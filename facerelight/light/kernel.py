@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.light.estimator import GaussianBelief, LightEstimator
+from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.gaussian import covariance_factor
 from facerelight.numerics.kernels import kernel_weights, neighbour_widths
 from facerelight.numerics.luminance import BLACK
@@ -83,16 +84,26 @@ class KernelIlluminationEstimator(LightEstimator):
             thumbnail: size at which images are compared.
             weight: ``(H, W)``, how much each pixel counts; leaves out what is not face. None: all alike.
             folds: groups of people left out in turn.
+
+        Raises:
+            ValueError: images, lights, ``valid`` or a weight that are none, or nothing to learn from.
         """
-        if images.dim() != 4 or images.shape[1] != len(lights):
-            raise ValueError(f"images: expected (N, J, H, W) with J = {len(lights)} lights, got {tuple(images.shape)}")
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_radiance(images, "images", "N J H W", (len(lights), None, None), missing=True)
+        if weight is not None:
+            weight = check_mask(weight, "weight", "H W", images.shape[2:])
+        if valid is not None:
+            valid = check_valid(valid, "valid", "N J", images.shape[:2]).to(images.device)
         count, light_count = images.shape[:2]
         kept = torch.isfinite(images.flatten(2)).all(-1)
         kept = kept if valid is None else kept & valid
-        weight = torch.ones(images.shape[2:]) if weight is None else weight
+        weight = (torch.ones(images.shape[2:]) if weight is None else weight).to(images.device)
+        lights = lights.to(images.device)
         weight = torch.nn.functional.interpolate(weight[None, None].float(), size=thumbnail, mode="area")[0, 0]
         thumbs, energy = _thumbnails(images.nan_to_num(0.0).flatten(0, 1), weight)
         usable = (kept.flatten() & (energy > 0)).nonzero()[:, 0]
+        if len(usable) < 2:
+            raise ValueError(f"images: expected two that exist and are not black, got {len(usable)}")
         person = usable // light_count
         points, directions = thumbs[usable], unit_lights(lights.float())[usable % light_count]
         errors = []
@@ -104,12 +115,12 @@ class KernelIlluminationEstimator(LightEstimator):
                 points[~out],
                 directions[~out],
                 _widths(points[~out], fraction),
-                torch.zeros(3),
-                torch.zeros(3, 3),
+                points.new_zeros(3),
+                points.new_zeros(3, 3),
                 weight,
             )
             errors.append(directions[out] - trained._regress(points[out]))
-        error = torch.cat(errors) if errors else torch.zeros(1, 3)
+        error = torch.cat(errors) if errors else points.new_zeros(1, 3)
         bias = error.mean(0)
         factor = covariance_factor(error - bias, max(len(error) - 1, 1))
         return cls(points, directions, _widths(points, fraction), bias, factor, weight)
@@ -141,8 +152,8 @@ class KernelIlluminationEstimator(LightEstimator):
 
 def _thumbnails(images: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Images ``(M, H, W)`` shrunk, weighted and normalised to unit length ``(M, D)``, and their length before."""
-    small = torch.nn.functional.interpolate(images[:, None].float(), size=tuple(weight.shape), mode="area")
-    small = (small * weight.to(images.device).float().sqrt()).flatten(1)
+    small = torch.nn.functional.interpolate(images[:, None].to(weight), size=tuple(weight.shape), mode="area")
+    small = (small * weight.sqrt()).flatten(1)
     energy = torch.linalg.vector_norm(small, dim=-1)
     energy = torch.where(energy > BLACK * small.shape[1] ** 0.5, energy, torch.zeros_like(energy))
     return small / energy.clamp_min(1e-12)[:, None], energy

@@ -13,6 +13,7 @@ from facerelight.light.estimator import LightEstimator
 from facerelight.model.covariance import image_covariance, light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
+from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.luminance import BLACK
 
 __all__ = ["LikelihoodIlluminationEstimator"]
@@ -57,11 +58,12 @@ class LikelihoodIlluminationEstimator(LightEstimator):
 
     def __init__(self, statistics: FaceStatistics, count: int = 300, pixels: int = 700) -> None:
         super().__init__()
-        height, width = statistics.size
+        self.size: tuple[int, int] = statistics.size
+        height, width = self.size
         stride = max(1, round((height * width / pixels) ** 0.5))
-        index = torch.arange(height * width).view(height, width)
+        index = torch.arange(height * width, device=statistics.lights.device).view(height, width)
         places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
-        grid = _near_lights(even_hemisphere(count), statistics.lights)
+        grid = _near_lights(even_hemisphere(count).to(statistics.lights), statistics.lights)
         pixel = statistics.pixel if statistics.face is None else statistics.face.residual
         assert pixel is not None
         means, stds, rows, factors = [], [], [], []
@@ -69,23 +71,27 @@ class LikelihoodIlluminationEstimator(LightEstimator):
             terms = light_terms(statistics, pixel, light, statistics.face)
             std = image_covariance(statistics, pixel, terms, terms)[places, 0, 0].sqrt()
             means.append(terms.mean[0, places])
-            stds.append(std.float())
+            stds.append(std.to(grid))
             if statistics.face is not None:
                 white = loadings_at(statistics.face, terms)[0][:, places].T.double() / std[:, None]  # (P, k)
                 temper = max(1.0, CODE_TEMPER * len(places))
-                factors.append(
-                    gaussian.safe_cholesky(temper * torch.eye(white.shape[1], dtype=torch.float64) + white.T @ white)
-                )
-                rows.append(white.float())
+                factors.append(gaussian.safe_cholesky(temper * torch.eye(white.shape[1]).to(white) + white.T @ white))
+                rows.append(white.to(grid))
         self.register_buffer("grid", grid)
         self.register_buffer("places", places)
         self.register_buffer("mean", torch.stack(means))
         self.register_buffer("std", torch.stack(stds))
-        self.register_buffer("loadings", torch.stack(rows) if rows else torch.zeros(len(grid), len(places), 0))
-        self.register_buffer(
-            "factor", torch.stack(factors) if factors else torch.zeros(len(grid), 0, 0, dtype=torch.float64)
-        )
-        self.register_buffer("temper", torch.tensor(64.0))
+        self.register_buffer("loadings", torch.stack(rows) if rows else grid.new_zeros(len(grid), len(places), 0))
+        self.register_buffer("factor", torch.stack(factors) if factors else grid.new_zeros(len(grid), 0, 0).double())
+        self.register_buffer("temper", torch.tensor(64.0).to(grid))
+
+    def get_extra_state(self) -> dict[str, tuple[int, int]]:
+        """The size of the images that its places are in."""
+        return {"size": self.size}
+
+    def set_extra_state(self, state: dict[str, tuple[int, int]]) -> None:
+        """See :meth:`get_extra_state`."""
+        self.size = state["size"]
 
     def spacing(self) -> float:
         """Distance between neighbours in the grid, in radians."""
@@ -98,6 +104,11 @@ class LikelihoodIlluminationEstimator(LightEstimator):
             images: linear radiance; their brightness does not matter.
             mask: ``(M, H, W)``, 0 where they do not show the face.
         """
+        check_radiance(images, "images", "M H W", self.size)
+        if mask is not None:
+            mask = check_mask(mask, "mask", "M H W", images.shape)
+        if not len(images):
+            return self.mean.new_zeros(0, len(self.grid), dtype=torch.float64)
         seen = images.flatten(1)[:, self.places].to(self.mean)
         weight = torch.ones_like(seen) if mask is None else mask.flatten(1)[:, self.places].to(seen)
         parts = [
@@ -115,8 +126,9 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         misfit = residual.square().sum(2, dtype=torch.float64)
         if self.loadings.shape[2]:
             pull = torch.bmm((residual * weight.sqrt()[:, None]).transpose(0, 1), self.loadings).double()  # (R, M, k)
-            half = gaussian.solve_lower(self.factor, pull.mT)  # (R, k, M)
-            misfit = misfit - half.square().sum(1).T + 2 * self.factor.diagonal(dim1=1, dim2=2).log().sum(1)
+            factor = self.factor.double()
+            half = gaussian.solve_lower(factor, pull.mT)  # (R, k, M)
+            misfit = misfit - half.square().sum(1).T + 2 * factor.diagonal(dim1=1, dim2=2).log().sum(1)
         size = weight.double().sum(1, keepdim=True)
         return -0.5 * misfit - weight.double() @ self.std.double().log().T - size * gain.double().log()
 
@@ -128,8 +140,14 @@ class LikelihoodIlluminationEstimator(LightEstimator):
     def calibrate(self, images: Tensor, lights: Tensor, valid: Tensor | None = None) -> LikelihoodIlluminationEstimator:
         """Choose ``temper`` so that the true ``lights (J, 3)`` of ``images (N, J, H, W)`` become most probable; people
         not learned from."""
-        there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
-        truth = lights.expand(len(images), -1, -1)[there]
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_radiance(images, "images", "N J H W", (len(lights), *self.size), missing=valid is not None)
+        there = torch.ones(images.shape[:2], dtype=torch.bool)
+        if valid is not None:
+            there = check_valid(valid, "valid", "N J", images.shape[:2])
+        if not there.any():
+            raise ValueError("images: expected one at least that exists, got none")
+        truth = lights.to(self.grid).expand(len(images), -1, -1)[there]
         likelihood = self.log_likelihood(images[there])
         near = nearest_lights(truth, self.grid)
         score = {t: float(torch.log_softmax(likelihood / t, 1).gather(1, near[:, None]).mean()) for t in TEMPERS}
@@ -160,9 +178,10 @@ class GridBelief(NamedTuple):
         images = len(self.probability)
         generator = generator or torch.Generator().manual_seed(0)
         points = torch.rand(images, count, generator=generator, dtype=torch.float64)
-        if not independent:  # stratified, in an order of its own for each input
+        if images and not independent:  # stratified, in an order of its own for each input
             order = torch.stack([torch.randperm(count, generator=generator) for _ in range(images)])
             points = (order + points) / count
+        points = points.to(self.probability.device)
         chosen = torch.searchsorted(self.probability.cumsum(1), points).clamp_max(len(self.grid) - 1)  # (B K, count)
         noise = self.cell * torch.randn(images, count, 3, generator=generator)
         drawn = self.grid[chosen] + noise.to(self.grid)  # (B K, count, 3)
@@ -176,5 +195,5 @@ def _lit(images: Tensor) -> Tensor:
 
 def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:
     """``hemisphere`` and its mirror image behind the face, as far as bootstrap ``lights`` come near."""
-    sphere = torch.cat((hemisphere, hemisphere * torch.tensor((1.0, 1.0, -1.0))))
+    sphere = torch.cat((hemisphere, hemisphere * torch.tensor((1.0, 1.0, -1.0)).to(hemisphere)))
     return sphere[angular_distance(sphere[:, None], lights[None]).amin(1) < REACH]

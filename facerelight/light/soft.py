@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from facerelight.numerics.checks import check_mask, check_radiance
+
 __all__ = ["fit_soft_light"]
 
 
@@ -23,7 +25,13 @@ def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int 
 
     Returns:
         ``(J,)`` non-negative amounts; all zero for a black image.
+
+    Raises:
+        ValueError: shapes that do not fit, or values out of range.
     """
+    check_radiance(mean_images, "mean_images", "J H W")
+    check_radiance(image, "image", "H W", mean_images.shape[1:])
+    mask = check_mask(mask, "mask", "H W", mean_images.shape[1:])
     basis, weight = mean_images.clamp_min(0).flatten(1).double(), mask.flatten().double()
     gram = (basis * weight) @ basis.T
     target = (basis * weight) @ image.flatten().clamp_min(0).double()

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from facerelight.model.statistics import FaceLoadings, FaceStatistics, PixelStatistics
+from facerelight.numerics.gaussian import positive_root
 
 __all__ = [
     "LightTerms",
@@ -68,13 +69,13 @@ def narrow_terms(
     near = weights[:, used]  # (A, J')
     variance = pixel.v_std.flatten(1)[:, pixels][used].square()  # (J', P)
     learned = pixel.v_factor.flatten(2)[..., pixels][used].transpose(0, 1)  # (r, J', P)
-    own = (near @ learned).square_().sum(0).addmm_(near.square(), 1 - learned.square().sum(0))  # rho(s, s), (A, P)
-    narrow = (1 - own).clamp_min_(0).mul_(near @ variance).sqrt_()  # (A, P)
+    unique = 1 - learned.square().sum(0)
+    own = torch.addmm((near @ learned).square().sum(0), near.square(), unique)  # rho(s, s), (A, P)
+    narrow = positive_root((1 - own).clamp_min(0) * (near @ variance))  # (A, P)
     if face is None:
         return narrow, torch.zeros_like(narrow)
-    kept = ((weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]).square_().sum(0)  # of (k, A, P)
-    lost = (near @ face.v_power.flatten(1)[:, pixels][used]).sub_(kept)  # (A, P)
-    return narrow, lost.clamp_min_(0).sqrt_()
+    kept = ((weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]).square().sum(0)  # of (k, A, P)
+    return narrow, positive_root(near @ face.v_power.flatten(1)[:, pixels][used] - kept)  # (A, P)
 
 
 def reached(weights: Tensor) -> Tensor:

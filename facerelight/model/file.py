@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
@@ -12,10 +16,11 @@ from torch import Tensor
 
 from facerelight.model.compression import checksum, compress, decompress
 
-__all__ = ["FORMAT_VERSION", "read_tensors", "write_tensors"]
+__all__ = ["FORMAT_VERSION", "read_tensors", "replacing", "write_tensors"]
 
 FORMAT = "facerelight-statistics"
 FORMAT_VERSION = 2
+KEY_LENGTH = 16  # hexadecimal digits that tell statistics apart
 
 # The layout: J lights, H x W pixels, r columns of the correlation factor (each its own), k loadings, m functions over
 # the lights.
@@ -40,6 +45,18 @@ FACE_LAYOUT = {
 }
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A file of this process's own to write into, which then takes the place of ``path`` at once; gone after an
+    error."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
 def write_tensors(
     path: str | Path, tensors: dict[str, Tensor], notes: dict[str, object], coarseness: float = 0.0
 ) -> None:
@@ -53,13 +70,12 @@ def write_tensors(
     if coarseness:
         tensors = compress({name: tensor.cpu() for name, tensor in tensors.items()}, coarseness)
         header |= {"compressed": True, "checksum": checksum(tensors)}
-    partial = path.with_name(path.name + ".part")
-    save_file(
-        {name: tensor.contiguous() for name, tensor in tensors.items()},
-        partial,
-        metadata={"facerelight": json.dumps(header)},
-    )
-    partial.replace(path)
+    with replacing(path) as partial:
+        save_file(
+            {name: tensor.contiguous() for name, tensor in tensors.items()},
+            partial,
+            metadata={"facerelight": json.dumps(header)},
+        )
 
 
 def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]]:
@@ -83,7 +99,9 @@ def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, object]
             f"{path}: expected statistics of version {FORMAT_VERSION}, got {found[0]} {found[1]}; train anew"
         )
     if header.pop("compressed", False):
-        tensors = _decompressed(path, tensors, header.pop("checksum", None))
+        found_checksum = header.pop("checksum", None)
+        tensors = _decompressed(path, tensors, found_checksum)
+        header.setdefault("key", str(found_checksum)[:KEY_LENGTH])
     sizes: dict[str, int] = {"3": 3}
     for name, shape in {**LAYOUT, **(FACE_LAYOUT if any(name.startswith("face.") for name in tensors) else {})}.items():
         letters = shape.split()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from facerelight.model.file import replacing
 
 __all__ = ["ImageStore"]
 
@@ -52,20 +53,19 @@ class ImageStore:
         return True
 
     def add(self, images: Tensor, subject: int | None = None) -> None:
-        """Keep one subject's ``images`` ``(J, H, W)``; ``subject`` numbers its file (default: the next number)."""
+        """Keep one subject's ``images`` ``(J, H, W)``; ``subject`` numbers its file (default: the number after
+        the highest; several processes that fill one folder number their own)."""
         array = images.detach().cpu().numpy().astype(np.float32)
         if self.folder is None:
             self._images.append(array)
             return
-        number = len(self) if subject is None else subject
-        path = self.folder / f"subject_{number:06d}.npy"
-        partial = path.with_suffix(f".{os.getpid()}.part")
-        try:
-            with partial.open("wb") as file:
-                np.save(file, array)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        number = self._next() if subject is None else subject
+        with replacing(self.folder / f"subject_{number:06d}.npy") as partial, partial.open("wb") as file:
+            np.save(file, array)
+
+    def _next(self) -> int:
+        """The number after the highest: a folder may have gaps."""
+        return max((int(path.stem.removeprefix("subject_")) for path in self._paths()), default=-1) + 1
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Every subject's images ``(J, H, W)``, one after the other; memory-mapped where they are files, and then to be

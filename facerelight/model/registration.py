@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from facerelight.numerics.checks import check_radiance, check_valid
 from facerelight.numerics.gaussian import safe_cholesky
 
 __all__ = ["align_people", "congeal", "deform", "register", "undeform"]
@@ -57,7 +58,7 @@ def register(
         >>> register(face, face).abs().max() < 1e-3
         tensor(True)
     """
-    theta = torch.zeros(6, dtype=torch.float64) if start is None else start.double()
+    theta = torch.zeros(6, dtype=torch.float64) if start is None else start.double().cpu()  # six numbers
     weight = images.new_ones(images.shape[-2:]) if weight is None else weight.to(images)
     for scale in COARSE_TO_FINE if start is None else (1,):
         height, width = images.shape[-2] // scale, images.shape[-1] // scale
@@ -70,7 +71,7 @@ def register(
 def _descend(images: Tensor, template: Tensor, theta: Tensor, weight: Tensor, penalty: float) -> Tensor:
     """Gauss and Newton's steps from ``theta`` at one resolution."""
     size = images.shape[-2:]
-    weight = _middle(size) * weight
+    weight = _middle(size).to(weight) * weight
     contrast = local_contrast(images)
     wanted = (local_contrast(template) * weight).flatten()
     wanted = wanted / wanted.norm().clamp_min(1e-12)
@@ -87,8 +88,8 @@ def _descend(images: Tensor, template: Tensor, theta: Tensor, weight: Tensor, pe
         seen = (moved * weight).flatten() / length
         jacobian = (slope * weight).flatten(1) / length
         jacobian = (jacobian - torch.outer(jacobian @ seen, seen)).double()  # of the normalised contrast
-        factor = safe_cholesky(jacobian @ jacobian.T + prior)
-        descent = jacobian @ (wanted - seen).double() - prior @ theta
+        factor = safe_cholesky((jacobian @ jacobian.T).cpu() + prior)
+        descent = (jacobian @ (wanted - seen).double()).cpu() - prior @ theta
         theta = theta + torch.cholesky_solve(descent[:, None], factor)[:, 0]
         theta = torch.maximum(torch.minimum(theta, REACH * spread), -REACH * spread)
     return theta
@@ -133,7 +134,11 @@ def align_people(images: Tensor, lights: Tensor, valid: Tensor | None = None) ->
     Raises:
         ValueError: somebody without any picture under those lights.
     """
-    there = (torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid) & (lights[:, 2] > NEAR_CAMERA)
+    check_radiance(images, "images", "N J H W", (len(lights), None, None), missing=True)
+    there = torch.ones(images.shape[:2], dtype=torch.bool)
+    if valid is not None:
+        there = check_valid(valid, "valid", "N J", images.shape[:2])
+    there = there & (lights[:, 2] > NEAR_CAMERA)
     if not there.any(1).all():
         raise ValueError(
             "images: expected one within 32 degrees of the camera for everybody,"

@@ -9,22 +9,27 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from facerelight.geometry.lights import angular_distance, merge_repeats, unit_lights
-from facerelight.model.file import read_tensors, write_tensors
+from facerelight.model.compression import checksum
+from facerelight.model.file import KEY_LENGTH, read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
 from facerelight.model.learning import FitOptions, learn
+from facerelight.numerics.buffers import LearnedModule
+from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
 from facerelight.numerics.kernels import kernel_weights
 
 __all__ = ["FaceLoadings", "FaceStatistics", "PixelStatistics"]
 
+FACE_PARTS = ("n", "v", "basis", "v_power", "temper")
 NEGLIGIBLE = 1e-6  # kernel weights that no picture shows
 
 
-class PixelStatistics(nn.Module):
+class PixelStatistics(LearnedModule):
     """Second-order statistics of n and of v at the J bootstrap lights, pixel by pixel (4.3).
 
     Buffers: ``n_factor (3, 3, H, W)`` with ``C_n = L L^T``; ``v_std (J, H, W)``; ``v_factor (J, r, H, W)``, the factor
@@ -42,7 +47,7 @@ class PixelStatistics(nn.Module):
         self.register_buffer("v_factor", v_factor)
 
 
-class FaceLoadings(nn.Module):
+class FaceLoadings(LearnedModule):
     """The low-rank part of the whole-face model: ``i = mu + (Lambda_n^T s + w(s).Lambda_v)^T c + e``,
     ``c ~ N(0, I_k)``.
 
@@ -66,7 +71,7 @@ class FaceLoadings(nn.Module):
         self.residual = residual
 
 
-class FaceStatistics(nn.Module):
+class FaceStatistics(LearnedModule):
     """Statistics of n and v learned from a bootstrap, as registered buffers.
 
     Build them with :meth:`fit`, or subject by subject: ``FaceStatistics(lights)``, :meth:`update` for each,
@@ -95,7 +100,10 @@ class FaceStatistics(nn.Module):
         self.options = options or FitOptions()
         self.store: ImageStore | None = ImageStore() if store is None else store
         self.metadata: dict[str, object] = {}
-        distinct, self._light_index = merge_repeats(unit_lights(lights.detach().float()))
+        self._key: str | None = None
+        check_shape(lights, "lights", "J 3", (None, 3))
+        distinct, index = merge_repeats(unit_lights(lights.detach().float()))
+        self._light_index = index.cpu()
         if torch.linalg.matrix_rank(distinct.double(), rtol=1e-4) < 3:
             raise ValueError(
                 f"lights: expected at least 3 linearly independent directions, got {len(distinct)} that are not"
@@ -125,7 +133,7 @@ class FaceStatistics(nn.Module):
         Args:
             images: float, 1.0 = full scale; N >= 2 subjects.
             lights: bootstrap lights, rank 3.
-            valid: ``(N, J)`` bool, False where an image does not exist; None: all do.
+            valid: ``(N, J)`` bool (or 0 and 1), False where an image does not exist; None: all do.
             options: see :class:`FitOptions`; ``overrides`` replace single fields of it (``rank=8``).
             store: where to keep the images.
 
@@ -134,8 +142,10 @@ class FaceStatistics(nn.Module):
             >>> FaceStatistics.fit(torch.rand(4, 3, 8, 8), lights, rank=2).n_mean.shape
             torch.Size([3, 8, 8])
         """
-        if images.dim() != 4 or images.shape[1] != len(lights):
-            raise ValueError(f"images: expected (N, J, H, W) with J = {len(lights)} lights, got {tuple(images.shape)}")
+        check_shape(lights, "lights", "J 3", (None, 3))
+        check_shape(images, "images", "N J H W", (len(lights), None, None))
+        if valid is not None:
+            valid = check_valid(valid, "valid", "N J", images.shape[:2])
         settings = {**asdict(options or FitOptions()), **overrides}
         statistics = cls(lights, FitOptions(**settings), store)  # type: ignore[arg-type]
         for index, subject in enumerate(images):
@@ -149,18 +159,12 @@ class FaceStatistics(nn.Module):
             raise RuntimeError(
                 "update: these statistics were loaded, and the images they came from are not kept; fit anew"
             )
-        if images.dim() != 3 or len(images) != len(self._light_index):
-            raise ValueError(
-                f"images: expected ({len(self._light_index)}, H, W), one image a light, got {tuple(images.shape)}"
-            )
-        kept = torch.ones(len(images), dtype=torch.bool) if valid is None else valid.cpu()
-        if not torch.isfinite(images[kept]).all():
-            raise ValueError("images: expected finite radiance, got NaN or infinity; mark missing images in `valid`")
-        if images[kept].numel() and float(images[kept].abs().max()) > 20:
-            raise ValueError(
-                f"images: expected radiance with 1.0 = full scale, got up to {float(images[kept].max()):g};"
-                " divide by 255?"
-            )
+        check_shape(images, "images, one a light", "J H W", (len(self._light_index), None, None))
+        kept = torch.ones(len(images), dtype=torch.bool)
+        if valid is not None:
+            kept = check_valid(valid, "valid", "J", (len(images),)).cpu()
+        images = images.detach().cpu()
+        check_radiance(images[kept], "images that are not marked as missing in `valid`", "J H W")
         merged = torch.full((len(self.lights), *images.shape[1:]), float("nan"))
         for light in range(len(self.lights)):
             same = kept & (self._light_index == light)
@@ -177,6 +181,8 @@ class FaceStatistics(nn.Module):
             raise ValueError(
                 f"merge: expected the same lights, got {len(self.lights)} and {len(other.lights)} that differ"
             )
+        if other.store is self.store or (self.store.folder and self.store.folder == other.store.folder):
+            raise ValueError("merge: expected other statistics, got the same people; they would count twice")
         for array in other.store:
             self.store.add(torch.from_numpy(array.copy()))
         return self
@@ -190,7 +196,8 @@ class FaceStatistics(nn.Module):
         shapes = {array.shape for array in self.store}
         if len(shapes) > 1:
             raise ValueError(f"statistics: expected images of one size, got {sorted(shapes)}")
-        learned = learn(self.store, self.lights, self.options)
+        self._key = None
+        learned = learn(self.store, self.lights.cpu().float(), self.options)
         self.light_widths, self.nugget_width = learned.light_widths, learned.nugget_width
         self.gain_spread, self.gain_noise = learned.gain_spread, learned.gain_noise
         self.n_mean, self.v_mean = learned.n_mean, learned.v_mean
@@ -200,7 +207,23 @@ class FaceStatistics(nn.Module):
             residual = PixelStatistics(*face.residual)
             temper = torch.tensor(self.options.temper)
             self.face = FaceLoadings(face.n, face.v, learned.basis, face.v_power, temper, residual)
-        return self
+        return self.to(self.lights)  # learned in float32 beside the images
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *rest: Any) -> None:
+        """What was learned replaces all that was; the images it came from are not in it, so it cannot be updated."""
+
+        def pixel(at: str) -> PixelStatistics:
+            return PixelStatistics(*(state_dict[f"{at}.{name}"].clone() for name in ("n_factor", "v_std", "v_factor")))
+
+        self.pixel, self.face = None, None
+        if f"{prefix}pixel.v_std" in state_dict:
+            self.pixel = pixel(f"{prefix}pixel")
+        if f"{prefix}face.n" in state_dict:
+            parts = {name: state_dict[f"{prefix}face.{name}"].clone() for name in FACE_PARTS}
+            self.face = FaceLoadings(**parts, residual=pixel(f"{prefix}face.residual"))
+        self.to(self.lights)
+        self.store, self._key = None, None
+        super()._load_from_state_dict(state_dict, prefix, *rest)
 
     def mean_images(self) -> Tensor:
         """The average face under every bootstrap light, ``n^T s + v`` of the means, ``(J, H, W)``."""
@@ -208,7 +231,8 @@ class FaceStatistics(nn.Module):
 
     def weights(self, lights: Tensor) -> Tensor:
         """Kernel weights ``w(s)`` over the bootstrap lights (4.5), ``(..., 3) -> (..., J)``; below 1e-6 they are 0, so
-        few count."""
+        few count; lights that are not unit vectors are a ``ValueError``."""
+        check_unit(lights, "lights")
         squared = (lights[..., None, :] - self.lights).square().sum(-1)
         weights = kernel_weights(squared, self.light_widths)
         weights = torch.where(weights > NEGLIGIBLE, weights, 0.0)
@@ -226,6 +250,15 @@ class FaceStatistics(nn.Module):
             raise RuntimeError("statistics: nothing is learned yet; call solve() after adding subjects")
         return int(self.n_mean.shape[-2]), int(self.n_mean.shape[-1])
 
+    @property
+    def key(self) -> str:
+        """What was learned, as 16 hexadecimal digits: what is made with these statistics (light estimators, galleries)
+        keeps it, and is refused by others. It outlives saving, compression and conversion."""
+        _ = self.size
+        if self._key is None:
+            self._key = checksum({n: t.detach().cpu().float() for n, t in self.state_dict().items()})[:KEY_LENGTH]
+        return self._key
+
     def save(self, path: str | Path, coarseness: float = 0.0) -> None:
         """Write a safetensors file, atomically: tensors, and as metadata the format version, options and
         ``self.metadata``.
@@ -233,7 +266,9 @@ class FaceStatistics(nn.Module):
         With a ``coarseness`` above 0 it is compressed, see :mod:`facerelight.model.compression`.
         """
         _ = self.size
-        write_tensors(path, self.state_dict(), {"options": asdict(self.options), **self.metadata}, coarseness)
+        write_tensors(
+            path, self.state_dict(), {"options": asdict(self.options), "key": self.key, **self.metadata}, coarseness
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> FaceStatistics:
@@ -251,7 +286,8 @@ class FaceStatistics(nn.Module):
             raise ValueError(
                 f"{path}: expected the options and lights of a fit, got {error}; train anew with `facerelight train`"
             ) from error
-        statistics.store, statistics.metadata = None, header
+        key = header.pop("key", None)
+        statistics.store, statistics.metadata, statistics._key = None, header, None if key is None else str(key)
 
         def pixel(prefix: str) -> PixelStatistics:
             return PixelStatistics(*(tensors[f"{prefix}.{name}"] for name in ("n_factor", "v_std", "v_factor")))
@@ -260,7 +296,7 @@ class FaceStatistics(nn.Module):
             setattr(statistics, name, tensors[name])
         statistics.pixel = pixel("pixel")
         if "face.n" in tensors:
-            parts = {name: tensors[f"face.{name}"] for name in ("n", "v", "basis", "v_power", "temper")}
+            parts = {name: tensors[f"face.{name}"] for name in FACE_PARTS}
             statistics.face = FaceLoadings(**parts, residual=pixel("face.residual"))
         return statistics
 

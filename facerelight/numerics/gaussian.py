@@ -21,6 +21,7 @@ __all__ = [
     "correlation_factor",
     "covariance_factor",
     "low_rank_code",
+    "positive_root",
     "positive_variance",
     "safe_cholesky",
     "solve_lower",
@@ -105,15 +106,21 @@ def positive_variance(variance: Tensor, before: Tensor) -> Tensor:
     Warns:
         NumericalWarning: some lie further below zero than rounding explains; says how many.
     """
-    floor = -ROUNDING * float(before.abs().amax()) if before.numel() else 0.0
+    floor = -ROUNDING * float(before.detach().abs().amax()) if before.numel() else 0.0
     below = int((variance < floor).sum())
     if below:
         warnings.warn(
-            f"{below} of {variance.numel()} variances were negative, down to {float(variance.min()):g}",
+            f"{below} of {variance.numel()} variances were negative, down to {float(variance.detach().min()):g}",
             NumericalWarning,
             stacklevel=2,
         )
     return variance.clamp_min(0)
+
+
+def positive_root(values: Tensor) -> Tensor:
+    """Square roots, zero of what is not positive; there the slope is zero too, and not infinite."""
+    positive = values > 0
+    return torch.where(positive, torch.where(positive, values, 1).sqrt(), 0)
 
 
 def condition_gaussian(

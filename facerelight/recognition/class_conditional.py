@@ -83,9 +83,9 @@ class GaussianClassifier(Classifier):
         self.spread = torch.stack(
             [pad(space.singular.square(), (0, width - len(space.singular))) for space, *_ in parts]
         )
-        self.floor = torch.tensor([noise for _, noise, _, _ in parts])
-        self.log_weight = torch.tensor([share for _, _, share, _ in parts]).log()
-        self.owner = torch.tensor([person for *_, person in parts])
+        self.floor = torch.tensor([noise for _, noise, _, _ in parts], dtype=rows.dtype).to(rows)
+        self.log_weight = torch.tensor([share for _, _, share, _ in parts], dtype=rows.dtype).log().to(rows)
+        self.owner = torch.tensor([person for *_, person in parts]).to(rows.device)
 
     def _scores(self, rows: Tensor) -> Tensor:
         """Log likelihood of ``rows (M, D)`` under each person, in nats a pixel, ``(M, C)``."""
@@ -103,13 +103,13 @@ class GaussianClassifier(Classifier):
         log_density = self.log_weight - 0.5 * (distance + log_determinant + size * math.log(2 * math.pi))
         assert self.classes_ is not None
         people = [log_density[:, self.owner == person].logsumexp(1) for person in range(len(self.classes_))]
-        return (torch.stack(people, 1) / size).float()
+        return (torch.stack(people, 1) / size).to(self.means)
 
 
 def _clusters(rows: Tensor, count: int) -> Tensor:
     """k-means labels of ``rows (M, D)``; at least two members each, or one cluster of all."""
     if count == 1 or len(rows) < 2 * count:
-        return torch.zeros(len(rows), dtype=torch.long)
+        return torch.zeros(len(rows), dtype=torch.long, device=rows.device)
     from scipy.cluster.vq import kmeans2
 
     space = principal_subspace(rows, min(20, len(rows) - 1))

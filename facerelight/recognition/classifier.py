@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Hashable, Iterable, Iterator, Sequence
-from typing import Literal, Self
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from typing import Any, Literal, Self
 
 import torch
 from torch import Tensor, nn
+
+from facerelight.numerics.buffers import LearnedModule
+from facerelight.numerics.checks import check_radiance
 
 Reject = float | Literal["fit"] | None
 
 __all__ = ["Classifier", "Reject", "SumClassifier"]
 
 
-class Classifier(nn.Module):
+class Classifier(LearnedModule):
     """What all share: ``fit``, ``decision_function`` (higher is likelier), ``predict``, ``score``, ``classes_``,
     rejection of strangers.
 
@@ -35,6 +38,8 @@ class Classifier(nn.Module):
         self.normalizer = normalizer or nn.Identity()
         self.reject, self.shift = reject, shift
         self.classes_: list[Hashable] | None = None
+        self.dtype_ = torch.float32  # of the exemplars, in which they are compared
+        self.size_: tuple[int, int] | None = None  # of the exemplars, height and width
         self.threshold_: float | None = None if reject == "fit" else reject
 
     def fit(self, exemplars: Tensor, labels: Sequence[Hashable]) -> Self:
@@ -65,19 +70,35 @@ class Classifier(nn.Module):
         return float(between[gap == gap.min()].median())
 
     def _prepare(self, exemplars: Tensor, labels: Sequence[Hashable]) -> tuple[Tensor, Tensor]:
-        if exemplars.dim() != 3 or len(exemplars) == 0:
-            raise ValueError(f"exemplars: expected (M, H, W) with M >= 1, got {tuple(exemplars.shape)}")
+        check_radiance(exemplars, "exemplars", "M H W")
+        if len(exemplars) == 0:
+            raise ValueError("exemplars: expected (M, H, W) with M >= 1, got none")
         if len(labels) != len(exemplars):
             raise ValueError(f"labels: expected one for each of {len(exemplars)} exemplars, got {len(labels)}")
-        if not torch.isfinite(exemplars).all():
-            raise ValueError("exemplars: expected finite values, got NaN or infinity")
         self.classes_ = sorted(set(labels), key=str)
+        self.size_ = (exemplars.shape[1], exemplars.shape[2])
         place = {label: i for i, label in enumerate(self.classes_)}
-        return self._rows(exemplars), torch.tensor([place[label] for label in labels])
+        self.dtype_ = torch.promote_types(exemplars.dtype, torch.float32)
+        index = torch.tensor([place[label] for label in labels]).to(exemplars.device)
+        return self._rows(exemplars), index
 
     def _rows(self, images: Tensor) -> Tensor:
         """Normalised images as rows."""
-        return self._flatten(self.normalizer(images.float()))
+        return self._flatten(self.normalizer(images.to(self.dtype_)))
+
+    def get_extra_state(self) -> dict[str, object]:
+        """What of the fitted classifier is no tensor: who is enrolled, the threshold, the images' size and dtype."""
+        return {"classes": self.classes_, "threshold": self.threshold_, "size": self.size_, "dtype": self.dtype_}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """See :meth:`get_extra_state`."""
+        self.classes_, self.threshold_ = state["classes"], state["threshold"]
+        self.size_, self.dtype_ = state["size"], state["dtype"]
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """``.double()`` and the like: probes are then converted, too."""
+        self.dtype_ = fn(torch.zeros(0, dtype=self.dtype_)).dtype
+        return super()._apply(fn, recurse)
 
     def _flatten(self, images: Tensor) -> Tensor:
         return images.flatten(1)
@@ -89,18 +110,23 @@ class Classifier(nn.Module):
         raise TypeError(f"{type(self).__name__} cannot score")
 
     def decision_function(self, images: Tensor) -> Tensor:
-        """Scores ``(M, C)`` of images ``(M, H, W)`` for each of ``classes_``; the highest wins."""
+        """Scores ``(M, C)`` of images ``(M, H, W)``, in their dtype, for each of ``classes_``; the highest wins."""
         if self.classes_ is None:
             raise RuntimeError(f"{type(self).__name__}: nothing is learned yet; call fit first")
-        if images.dim() != 3 or not torch.isfinite(images).all():
-            raise ValueError(f"images: expected finite (M, H, W), got {tuple(images.shape)}")
-        return self.compare(self.views(images))
+        return self.compare(self.views(images)).to(images.dtype)
 
     def views(self, images: Tensor) -> Iterator[Tensor]:
         """``images (M, H, W)`` at every shift, normalised: the half of :meth:`decision_function` that does not depend
         on who is enrolled."""
+        self._check(images)
         steps = range(-self.shift, self.shift + 1)
-        return (self.normalizer(_moved(images.float(), down, right)) for down in steps for right in steps)
+        images = images.to(self.dtype_)
+        return (self.normalizer(_moved(images, down, right)) for down in steps for right in steps)
+
+    def _check(self, images: Tensor) -> None:
+        """Images ``(M, H, W)`` of the exemplars' size, in radiance."""
+        size = (None, None) if self.size_ is None else self.size_
+        check_radiance(images, "images", "M H W", size)
 
     def compare(self, views: Iterable[Tensor]) -> Tensor:
         """Scores ``(M, C)`` of what :meth:`views` gave; classifiers with the same normaliser and shift can share it."""
@@ -115,12 +141,18 @@ class Classifier(nn.Module):
         return [self.classes_[i] if ok else None for i, ok in zip(best.indices.tolist(), known.tolist(), strict=True)]
 
     def score(self, images: Tensor, labels: Sequence[Hashable]) -> float:
-        """Rank-1 accuracy."""
+        """Rank-1 accuracy; one label an image."""
+        if len(labels) != len(images):
+            raise ValueError(f"labels: expected one for each of {len(images)} images, got {len(labels)}")
         right = [p == label for p, label in zip(self.predict(images), labels, strict=True)]
         return sum(right) / max(len(right), 1)
 
     def calibrate(self, images: Tensor, false_rejections: float = 0.05) -> Self:
         """Set ``threshold_`` so that this share of ``images``, new ones of enrolled people, is turned away."""
+        if not len(images) or not 0 <= false_rejections <= 1:
+            raise ValueError(
+                f"calibrate: expected images and a share from 0 to 1, got {len(images)} and {false_rejections}"
+            )
         best = self.decision_function(images).max(1).values
         self.threshold_ = float(best.quantile(false_rejections))
         return self
@@ -131,8 +163,8 @@ def _moved(images: Tensor, down: int, right: int) -> Tensor:
     if down == right == 0:
         return images
     height, width = images.shape[1:]
-    rows = (torch.arange(height) - down).clamp(0, height - 1)
-    columns = (torch.arange(width) - right).clamp(0, width - 1)
+    rows = (torch.arange(height, device=images.device) - down).clamp(0, height - 1)
+    columns = (torch.arange(width, device=images.device) - right).clamp(0, width - 1)
     return images[:, rows][:, :, columns]
 
 

@@ -50,13 +50,14 @@ def light_moments(posterior: Posterior, lights: Tensor, weights: Tensor) -> tupl
         ``mean (L,)`` and ``root (L, r)`` with ``root root^T`` the weighted covariance of h, L = 3 + J.
     """
     statistics = posterior.people[0].statistics
+    lights, weights = lights.to(statistics.lights), weights.to(statistics.lights)
     features = torch.cat((lights, statistics.weights(lights)), -1).double()  # (Q, L)
     share = (weights / weights.sum()).double()
     mean = share @ features
     centred = (features - mean) * share.sqrt()[:, None]
     values, vectors = torch.linalg.eigh(centred.T @ centred)
     kept = values > 1e-12 * values[-1]
-    return mean.float(), (vectors[:, kept] * values[kept].sqrt()).float()
+    return mean.to(lights), (vectors[:, kept] * values[kept].sqrt()).to(lights)
 
 
 def direct_subspace(person: PersonPosterior, moments: tuple[Tensor, Tensor], dimension: int) -> Subspace:

@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from facerelight.inference.detail import keep_detail
 from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.file import replacing
 from facerelight.photo import PhotoRelighter, crop_frame
 from facerelight.photo.files.disk import read_photo
 from facerelight.recognition.exemplars import exemplar_lights
@@ -22,7 +23,7 @@ from facerelight.recognition.subspaces import Subspace
 
 __all__ = ["Gallery", "Identification"]
 
-GALLERY_VERSION = 2
+GALLERY_VERSION = 3  # says which statistics and crop it belongs to
 FACE = 0.95  # of the outline; hair and background are left out of the comparison
 
 
@@ -58,6 +59,10 @@ class Gallery:
 
     def add(self, name: str, photos: Sequence[PhotoRelighter]) -> None:
         """:meth:`enroll` for photos that are opened already, with landmarks given, say."""
+        if not name or not isinstance(name, str):
+            raise ValueError(f"name: expected that of the person, got {name!r}")
+        if not photos:
+            raise ValueError(f"photos: expected one or more of {name}, got none")
         lights, _ = exemplar_lights()
         exemplars = []
         for photo in photos:
@@ -70,6 +75,8 @@ class Gallery:
 
     def compare(self, photo: PhotoRelighter) -> Identification:
         """:meth:`identify` for a photo that is opened already."""
+        if not self.classifier.classes_:
+            raise ValueError("gallery: expected people in it, got none; enroll them first")
         image = photo.luminance[None]
         scores = self.classifier.decision_function(image)[0]
         names = [str(name) for name in self.classifier.classes_ or []]
@@ -97,17 +104,25 @@ class Gallery:
             "dimension": self.dimension,
             "shift": self.classifier.shift,
             "reject": state.threshold_,
+            **self._belongs(),
         }
-        partial = path.with_name(path.name + ".part")
-        save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
-        notes = path.with_suffix(".json.part")
-        notes.write_text(json.dumps(header, indent=2))
-        partial.replace(path)
-        notes.replace(path.with_suffix(".json"))
+        with replacing(path) as partial, replacing(path.with_suffix(".json")) as notes:
+            save_file({k: v.contiguous() for k, v in tensors.items()}, partial)
+            notes.write_text(json.dumps(header, indent=2))
+
+    def _belongs(self) -> dict[str, object]:
+        """What subspaces of one gallery have in common: the statistics and the crop that they were rendered with."""
+        frame = crop_frame(self.relighter)
+        crop = [frame.height, frame.width, frame.margin]
+        return {"statistics": self.relighter.statistics.key, "crop": crop}
 
     @classmethod
     def load(cls, path: str | Path, relighter: StatisticalRelighter) -> Gallery:
-        """Read what :meth:`save` wrote; a file that is missing, damaged or of another version is a ``ValueError``."""
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            ValueError: a file that is missing, damaged, of another version, or made with other statistics.
+        """
         path = Path(path)
         try:
             header = json.loads(path.with_suffix(".json").read_text())
@@ -129,7 +144,11 @@ class Gallery:
                 Subspace(mean, basis[:, :k], torch.ones(k))
                 for mean, basis, k in zip(means, bases, sizes.tolist(), strict=True)
             ]
+            wanted, found = gallery._belongs(), {name: header[name] for name in ("statistics", "crop")}
+            if wanted != found:
+                raise ValueError(f"one of {found} for a relighter of {wanted}")
             state.fit_subspaces(spaces, header["names"])
+            state.size_ = (height, width)
         except (OSError, KeyError, TypeError, ValueError, AttributeError, SafetensorError) as error:
             raise ValueError(
                 f"{path}: expected a gallery and its .json, got {error}; enroll anew with `facerelight recognize`"

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.recognition.classifier import Classifier, Reject
+from facerelight.recognition.subspaces import distances
 
 __all__ = ["NearestNeighborClassifier"]
 
@@ -54,14 +55,16 @@ class NearestNeighborClassifier(Classifier):
 
     def _scores(self, rows: Tensor) -> Tensor:
         if self.metric == "l0":
-            near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).float() for row in rows])
+            near = torch.stack([-((row - self.exemplars).abs() > self.threshold).sum(1).to(rows) for row in rows])
         else:
-            near = -torch.cdist(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
+            near = -distances(rows, self.exemplars).square() / rows.square().sum(1, keepdim=True).clamp_min(1e-12)
         assert self.classes_ is not None
-        scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
+        scores = rows.new_full((len(rows), len(self.classes_)), -torch.inf)
         scores = scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
         if self.neighbors == 1:
             return scores
         nearest = near.topk(min(self.neighbors, near.shape[1]), dim=1).indices
-        votes = torch.zeros_like(scores).scatter_add_(1, self.index[nearest], torch.ones(nearest.shape))
+        votes = torch.zeros_like(scores).scatter_add_(
+            1, self.index[nearest], torch.ones_like(near[:, : nearest.shape[1]])
+        )
         return votes + 1 / (2 - scores)  # less than one vote, more for the nearer

@@ -43,6 +43,10 @@ class OpenCVClassifier(Classifier):
         self.kind = kind
         self._recognizer = RECOGNIZERS[kind]()
 
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """What OpenCV learned is no tensor, and so in no state."""
+        raise ValueError(f"{self.kind}: expected to be fitted, got a state, which cannot hold it; call fit instead")
+
     def _flatten(self, images: Tensor) -> Tensor:
         return images
 

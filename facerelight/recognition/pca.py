@@ -8,14 +8,15 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
+from facerelight.numerics.checks import check_radiance
 from facerelight.recognition.classifier import Classifier, Reject
-from facerelight.recognition.subspaces import Subspace, principal_subspace
+from facerelight.recognition.subspaces import IncrementalSubspace, Subspace, distances, principal_subspace
 
 __all__ = ["GlobalPCAClassifier", "IndividualPCAClassifier"]
 
 
 class GlobalPCAClassifier(Classifier):
-    """The nearest exemplar in one PCA subspace of all exemplars (6.1).
+    """The nearest exemplar in one PCA subspace of all exemplars (6.1), which more people can join one by one.
 
     Args:
         dimension: of the subspace; None: by 1 % reconstruction error.
@@ -25,6 +26,7 @@ class GlobalPCAClassifier(Classifier):
 
     mean: Tensor
     basis: Tensor
+    singular: Tensor
     projected: Tensor
     index: Tensor
 
@@ -38,19 +40,46 @@ class GlobalPCAClassifier(Classifier):
     ) -> None:
         super().__init__(normalizer, reject, shift)
         self.dimension, self.error = dimension, error
-        for name in ("mean", "basis", "projected"):
+        for name in ("mean", "basis", "singular", "projected"):
             self.register_buffer(name, torch.zeros(0))
         self.register_buffer("index", torch.zeros(0, dtype=torch.long))
 
     def _learn(self, rows: Tensor, index: Tensor) -> None:
         space = principal_subspace(rows, self.dimension, self.error)
         self.mean, self.basis, self.index = space.mean, space.basis, index
+        self.singular = space.singular * len(rows) ** 0.5  # of the exemplars themselves
         self.projected = (rows - self.mean) @ self.basis
 
+    def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
+        """Add exemplars ``(M, H, W)`` of one person, new or known, where the others' are no longer at hand: only those
+        that the subspace represents badly change it (Chandrasekaran et al. 1997); the mean stays that of :meth:`fit`.
+
+        Raises:
+            RuntimeError: nothing is learned yet.
+            ValueError: exemplars of another size, or none.
+        """
+        if self.classes_ is None:
+            raise RuntimeError("GlobalPCAClassifier: nothing is learned yet; call fit first")
+        self._check(exemplars)
+        if not len(exemplars):
+            raise ValueError("exemplars: expected (M, H, W) with M >= 1, got none")
+        rows = self._rows(exemplars) - self.mean
+        space = IncrementalSubspace(rows.shape[1], self.error, self.dimension or 200)
+        space.basis, space.singular = self.basis.double(), self.singular.double()
+        for row in rows:
+            space.add(row)
+        turn = space.basis.to(self.basis).T @ self.basis  # what was projected, seen in the new basis
+        self.basis, self.singular = space.basis.to(self.basis), space.singular.to(self.basis)
+        self.projected = torch.cat((self.projected @ turn.T, rows @ self.basis))
+        owners = [self.classes_[i] for i in self.index.tolist()] + [label] * len(rows)
+        self.classes_ = sorted(set(owners), key=str)
+        self.index = torch.tensor([self.classes_.index(owner) for owner in owners]).to(rows.device)
+        return self
+
     def _scores(self, rows: Tensor) -> Tensor:
-        near = -torch.cdist((rows - self.mean) @ self.basis, self.projected)
+        near = -distances((rows - self.mean) @ self.basis, self.projected)
         assert self.classes_ is not None
-        scores = torch.full((len(rows), len(self.classes_)), -torch.inf)
+        scores = rows.new_full((len(rows), len(self.classes_)), -torch.inf)
         return scores.scatter_reduce_(1, self.index.expand(len(rows), -1), near, "amax")
 
 
@@ -121,10 +150,15 @@ class IndividualPCAClassifier(Classifier):
 
     def partial_fit(self, exemplars: Tensor, label: Hashable) -> Self:
         """Add one person, or replace them, without touching the others."""
+        check_radiance(exemplars, "exemplars", "M H W", self.size_ or (None, None))
+        if self.classes_ is None:
+            self.dtype_ = torch.promote_types(exemplars.dtype, torch.float32)
         rows = self._rows(exemplars)
         known = {} if self.classes_ is None else dict(zip(self.classes_, self._spaces(), strict=True))
         known[label] = principal_subspace(rows, self.dimension, self.error)
-        return self.fit_subspaces(list(known.values()), list(known))
+        self.fit_subspaces(list(known.values()), list(known))
+        self.size_ = (exemplars.shape[1], exemplars.shape[2])
+        return self
 
     def _spaces(self) -> list[Subspace]:
         sizes = self.dimensions.tolist()
@@ -137,12 +171,13 @@ class IndividualPCAClassifier(Classifier):
             [nn.functional.pad(space.basis, (0, widest - space.basis.shape[1])) for space in spaces]
         )
         self.offsets = torch.einsum("cdk,cd->ck", self.bases, self.means)
-        self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces])
+        self.dimensions = torch.tensor([space.basis.shape[1] for space in spaces]).to(self.means.device)
 
     def reconstruction_error(self, images: Tensor) -> Tensor:
         """``|x - x_c|^2`` of images ``(M, H, W)`` in each person's subspace, ``(M, C)``."""
         if self.classes_ is None:
             raise RuntimeError("IndividualPCAClassifier: nothing is learned yet; call fit first")
+        self._check(images)
         return self._errors(self._rows(images))
 
     def _errors(self, rows: Tensor) -> Tensor:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-__all__ = ["IncrementalSubspace", "Subspace", "principal_angles", "principal_subspace"]
+from facerelight.numerics.buffers import LearnedModule
+
+__all__ = ["IncrementalSubspace", "Subspace", "distances", "principal_angles", "principal_subspace"]
 
 
 class Subspace(NamedTuple):
@@ -42,7 +44,7 @@ def principal_subspace(
     if not torch.isfinite(exemplars).all():
         raise ValueError("exemplars: expected finite values, got NaN or infinity")
     share = (
-        torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype)
+        torch.full((len(exemplars),), 1 / len(exemplars), dtype=exemplars.dtype, device=exemplars.device)
         if weights is None
         else weights / weights.sum()
     )
@@ -65,13 +67,20 @@ def principal_subspace(
     return Subspace(mean, basis.to(rows), singular.to(rows))
 
 
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """Euclidean distances ``(M, N)`` between rows ``(M, D)`` and ``(N, D)``, in their dtype: each is a difference of
+    large numbers, which float32 would lose among near twins, and so is worked out in float64, by parts."""
+    wide = a.double()
+    return torch.cat([torch.cdist(wide, part.double()) for part in b.split(1024)], 1).to(a)
+
+
 def principal_angles(a: Tensor, b: Tensor) -> Tensor:
     """Angles in degrees between two subspaces with orthonormal bases ``(D, k)``, smallest first."""
     cosine = torch.linalg.svdvals(a.double().T @ b.double()).clamp(-1, 1)
     return torch.rad2deg(torch.acos(cosine))
 
 
-class IncrementalSubspace(nn.Module):
+class IncrementalSubspace(LearnedModule):
     """A PCA subspace that grows image by image (Chandrasekaran et al. 1997): only images that it represents badly
     change it.
 
@@ -106,12 +115,12 @@ class IncrementalSubspace(nn.Module):
         length = torch.linalg.vector_norm(left)
         if length**2 <= self.error * x.square().sum() or length < 1e-12:
             return False
-        middle = torch.diag(torch.cat((self.singular, torch.zeros(1, dtype=torch.float64))))
+        middle = torch.diag(torch.cat((self.singular, self.singular.new_zeros(1))))
         middle[:, -1] = torch.cat((inside, length[None]))
         u, s, _ = torch.linalg.svd(middle)
         grown = torch.cat((self.basis, (left / length)[:, None]), 1) @ u
         self.basis, self.singular = grown[:, : self.capacity], s[: self.capacity]
-        drift = (self.basis.T @ self.basis - torch.eye(self.basis.shape[1], dtype=torch.float64)).abs().max()
+        drift = (self.basis.T @ self.basis - torch.eye(self.basis.shape[1]).to(self.basis)).abs().max()
         if drift > 1e-6:
             q, r = torch.linalg.qr(self.basis * self.singular)
             u, s, _ = torch.linalg.svd(r)

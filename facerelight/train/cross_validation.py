@@ -14,6 +14,7 @@ from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.learning import FitOptions
 from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.checks import check_radiance, check_valid
 
 __all__ = ["Choice", "choose_face_options"]
 
@@ -54,6 +55,9 @@ def choose_face_options(
         >>> choice.options.face_rank in (1, 2)
         True
     """
+    check_radiance(images, "images", "N J H W", (len(lights), None, None), missing=True)
+    if valid is not None:
+        valid = check_valid(valid, "valid", "N J", images.shape[:2])
     options = options or FitOptions()
     there = torch.ones(images.shape[:2], dtype=torch.bool) if valid is None else valid
     least = min(len(images) - len(images[fold::folds]) for fold in range(folds)) - 2

@@ -9,6 +9,7 @@ import shutil
 import sys
 import time
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
@@ -23,9 +24,10 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.image_store import ImageStore
 from facerelight.model.statistics import FaceStatistics
-from facerelight.train.adapt import adapt, read_people
+from facerelight.train.adapt import Person, adapt, read_people
 from facerelight.train.cross_validation import choose_face_options
 from facerelight.train.dataset import make_dataset
+from facerelight.train.lock import locked
 
 __all__ = ["rendered_statistics", "train", "trained_folder"]
 
@@ -58,6 +60,20 @@ def train(
     # First, so that a bad photo is known before the rendering.
     people = read_people(adapt_to, config.frame) if adapt_to else []
     rank, processes = _join_processes()
+    with locked(folder) if rank == 0 else nullcontext():
+        return _train(config, folder, workers, keep_images, people, rank, processes)
+
+
+def _train(
+    config: TrainConfig,
+    folder: Path,
+    workers: int = 2,
+    keep_images: bool = False,
+    people: list[Person] | None = None,
+    rank: int = 0,
+    processes: int = 1,
+) -> dict[str, object]:
+    """:func:`train` in a folder that is held, as process number ``rank``; ``people`` are whom to adapt to."""
     if rank == 0:
         _start_images(folder, config)
     _wait(processes)
@@ -108,7 +124,7 @@ def train(
     report: dict[str, object] = {
         **statistics.describe(),
         "heads": config.heads,
-        "adapted_to": len(people),
+        "adapted_to": len(people or []),
         "render_seconds": round(rendered - started, 1),
         "solve_seconds": round(time.perf_counter() - rendered, 1),
         **_peak_memory(),
@@ -125,8 +141,10 @@ def trained_folder(config: TrainConfig) -> Path:
     if found is not None:
         return found
     folder = default_statistics_folder(config)
-    print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
-    train(config, folder)
+    with locked(folder):
+        if find_statistics(config) is None:  # nor has another process trained them meanwhile
+            print(f"no statistics in {folder} yet: training them once (a minute or two)", file=sys.stderr)
+            _train(config, folder)
     return folder
 
 
@@ -134,16 +152,18 @@ def rendered_statistics(config: TrainConfig) -> FaceStatistics:
     """Statistics of ``config`` that still keep their images, as :func:`facerelight.train.adapt.adapt` needs them;
     rendered once and cached."""
     folder = default_statistics_folder(config)
-    if not (folder / "images").exists():
-        train(config, folder, keep_images=True)
-    return FaceStatistics(config.directions(), config.fit, ImageStore(folder / "images")).solve()
+    with locked(folder):
+        store = ImageStore(folder / "images")
+        if not all(index in store for index in range(config.heads)):  # what an interrupted run left is not enough
+            _train(config, folder, keep_images=True)
+        return FaceStatistics(config.directions(), config.fit, store).solve()
 
 
 def _start_images(folder: Path, config: TrainConfig) -> None:
     """Make sure that images left by an earlier run belong to the same config."""
     folder.mkdir(parents=True, exist_ok=True)
     marker = folder / "config.json"
-    text = json.dumps(asdict(config), indent=2, sort_keys=True)
+    text = json.dumps(config.identity(), indent=2, sort_keys=True)
     if marker.exists() and marker.read_text() != text:
         raise ValueError(f"{folder}: holds a run of another config; choose another folder or remove it")
     marker.write_text(text)

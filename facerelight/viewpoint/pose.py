@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,9 +22,10 @@ from torch import Tensor
 
 from facerelight.config import TrainConfig, cache_folder
 from facerelight.geometry.lights import light_from_angles
+from facerelight.model.file import replacing
 from facerelight.model.subjects import face_operators
 from facerelight.numerics import gaussian
-from facerelight.viewpoint.views import ViewFields, ViewSource
+from facerelight.viewpoint.views import ViewFields, ViewSource, check_view_images
 
 __all__ = ["BootstrapViews", "View", "ViewRelighter", "ViewRelit"]
 
@@ -43,6 +45,15 @@ class View:
     elevation: float = 0.0
     light: tuple[float, float] = (0.0, 0.0)
     expression: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        angles = (self.azimuth, self.elevation, *self.light)
+        if len(self.light) != 2 or not all(math.isfinite(angle) for angle in angles):
+            raise ValueError(f"view: expected finite angles and a light's azimuth and elevation, got {self}")
+        if max(abs(self.elevation), abs(self.light[1])) > 90:
+            raise ValueError(f"view: expected elevations in [-90, 90], got {self}")
+        if not all(0 <= weight <= 1 for _, weight in self.expression):
+            raise ValueError(f"view: expected weights of expressions from 0 to 1, got {self.expression}")
 
 
 class ViewRelit(NamedTuple):
@@ -79,16 +90,14 @@ class BootstrapViews:
 
     def images(self, view: View) -> Tensor:
         """Every person under ``view``, ``(N, H, W)``, linear radiance; rendered at the first call."""
-        world = asdict(replace(self.config, fit=type(self.config.fit)(), lights=4))
+        world = replace(self.config, fit=type(self.config.fit)(), lights=4).identity()
         text = json.dumps([world, asdict(view), self.first], sort_keys=True)
         path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}.npy"
         if not path.exists():
             rendered = self._render(view)
             self.folder.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(".part")
-            with partial.open("wb") as file:
+            with replacing(path) as partial, partial.open("wb") as file:
                 np.save(file, rendered.numpy())
-            partial.replace(path)
         return torch.from_numpy(np.load(path, allow_pickle=False))
 
     def _render(self, view: View) -> Tensor:
@@ -123,38 +132,28 @@ class ViewRelighter:
             raise ValueError(f"views: expected rank >= 0 and temper >= 1, got {rank} and {temper}")
         self.source, self.rank, self.temper = source, rank, temper
 
-    def __call__(self, images: Tensor, source_views: Sequence[View | Sequence[View]], target_view: View) -> ViewRelit:
+    def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> ViewRelit:
         """Render ``images (B, K, H, W)`` of B persons under ``target_view``: the conditional mean and variance (5.3 to
         5.5).
 
         Args:
             images: linear radiance; the k-th image of everybody was taken under the same view.
-            source_views: for each image its view or, where that is unknown, a list of candidates. Every combination is
-                a reading of the inputs; the readings are averaged with their tempered evidence as weights (5.5), person
-                by person.
+            source_views: for each image its view (a :class:`View`, or a light ``(3,)`` of :class:`LightViews`) or,
+                where that is unknown, a list of candidates (or lights ``(M, 3)``). Every combination is a reading of
+                the inputs; the readings are averaged with their tempered evidence as weights (5.5), person by person.
             target_view: what to render.
         """
-        height, width = self.source.size
-        if (
-            images.dim() != 4
-            or tuple(images.shape[2:]) != (height, width)
-            or not images.shape[1]
-            or len(source_views) != images.shape[1]
-        ):
-            raise ValueError(
-                f"images: expected (B, K, {height}, {width}) and K >= 1 views,"
-                f" got {tuple(images.shape)}, {len(source_views)}"
-            )
-        readings: list[list[View]] = [[]]
+        size = self.source.size
+        check_view_images(images, source_views, size)
+        readings: list[list[Any]] = [[]]
         for view in source_views:
-            readings = [[*r, v] for r in readings for v in ([view] if isinstance(view, View) else view)]
+            readings = [[*r, v] for r in readings for v in _candidates(view)]
         parts = [self._read(images.flatten(2), reading, target_view) for reading in readings]
         means, variances, codes, evidence = (torch.stack(part) for part in zip(*parts, strict=True))  # (S, B, ...)
         weight = torch.softmax(evidence, 0)
         mean = torch.einsum("sb,sbp->bp", weight, means)
         variance = torch.einsum("sb,sbp->bp", weight, variances + (means - mean).square())
         code = torch.einsum("sb,sbk->bk", weight, codes)
-        size = (height, width)
         return ViewRelit(
             mean.to(images).unflatten(1, size),
             variance.to(images).unflatten(1, size),
@@ -179,6 +178,9 @@ class ViewRelighter:
         own = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2)), covariance[:, 0, 0])
         volume = 2 * factor.diagonal(dim1=1, dim2=2).log().sum()
         results = []
+        if not len(images):
+            empty = images.new_zeros(0, images.shape[2], dtype=torch.float64)
+            return empty, empty, empty.new_zeros(0, inputs.shape[2]), empty.new_zeros(0)
         for person in images:
             white = gaussian.solve_lower(factor, (person - known.mean[1:]).double().T[..., None])  # (P, K, 1)
             code, spread = gaussian.low_rank_code(inputs, white, self.temper)
@@ -188,3 +190,12 @@ class ViewRelighter:
             results.append((mean, own + (left @ spread).square().sum(-1), code[:, 0], evidence))
         mean, variance, code, evidence = (torch.stack(part) for part in zip(*results, strict=True))
         return mean, variance, code, evidence
+
+
+def _candidates(view: Any) -> list[Any]:
+    """The views that one input may have been taken under: one, or those of a list; a light is a view, not a list."""
+    listed = isinstance(view, list | tuple) and not (len(view) and isinstance(view[0], int | float))
+    several = list(view) if listed or (isinstance(view, Tensor) and view.dim() == 2) else [view]
+    if not several:
+        raise ValueError("views: expected a view or several candidates for every image, got none")
+    return several

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from facerelight.numerics.checks import check_finite, check_index, check_shape
 from facerelight.numerics.gaussian import condition_gaussian, positive_variance
-from facerelight.numerics.shrinkage import Shrinkage, shrunk_covariance
-from facerelight.viewpoint.views import ViewSource
+from facerelight.numerics.shrinkage import KINDS, Shrinkage, shrunk_covariance
+from facerelight.viewpoint.views import ViewSource, check_view_images
 
 __all__ = [
     "GroupRelighter",
@@ -78,6 +79,8 @@ def group_by_correlation(samples: Tensor, size: int, table: Tensor | None = None
 
 def random_groups(pixels: int, size: int, generator: torch.Generator | None = None) -> list[Tensor]:
     """A random partition into groups of ``size`` pixels, the last one maybe smaller (the first heuristic of 5.5.1)."""
+    if pixels < 1 or size < 1:
+        raise ValueError(f"groups: expected at least 1 pixel, and 1 a group, got {pixels} and {size}")
     return list(torch.randperm(pixels, generator=generator).split(size))
 
 
@@ -90,6 +93,11 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
         inputs: ``r_in``, at least the group's size: the group itself and the pixels most correlated with its first.
             None: ``r_in = r_out``.
     """
+    if not len(groups) or any(not len(group) for group in groups):
+        raise ValueError(f"groups: expected one or more of a pixel or more each, got {len(groups)} with an empty one")
+    pixels = 1 + max(int(group.max()) for group in groups) if samples is None else samples.shape[-1]
+    for group in groups:
+        check_index(group, "groups", "r_out", pixels)
     unit = None if samples is None else _unit(samples)
     sized: dict[int, list[tuple[Tensor, Tensor]]] = {}
     for group in groups:
@@ -116,35 +124,32 @@ class GroupRelighter:
         regions: of :func:`make_regions`; together they cover every pixel once.
         shrinkage: of the joint covariance of a group: "sample" as the thesis, which turns to noise from a few pixels
             on; "block" towards single pixels, which keeps Consistency; "ledoit_wolf" and "oas" towards the identity.
+
+    Raises:
+        ValueError: regions that leave a pixel out or render one twice, or an unknown shrinkage.
     """
 
     def __init__(self, source: ViewSource, regions: Sequence[Region], shrinkage: Shrinkage = "block") -> None:
+        _check_partition(regions, source.size[0] * source.size[1])
+        if shrinkage not in KINDS:
+            raise ValueError(f"shrinkage: expected one of {', '.join(KINDS)}, got {shrinkage!r}")
         self.source, self.regions, self.shrinkage = source, regions, shrinkage
 
     def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
         """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``."""
         size = self.source.size
-        if (
-            images.dim() != 4
-            or tuple(images.shape[2:]) != size
-            or len(source_views) != images.shape[1]
-            or not images.shape[1]
-        ):
-            raise ValueError(
-                f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views,"
-                f" got {tuple(images.shape)} and {len(source_views)} views"
-            )
+        check_view_images(images, source_views, size)
         known = self.source.fields([target_view, *source_views])
         residual = (images.flatten(2) - known.mean[1:]).double()  # (B, K, P)
         mean = known.mean[0].double().repeat(len(images), 1)
-        variance = torch.zeros_like(mean[0])
+        variance = mean.new_zeros(mean.shape[1])
         log_det = []
         for region in self.regions:
             for outputs, inputs in zip(region.outputs.split(256), region.inputs.split(256), strict=True):
                 covariance = self._covariance(known.fields, known.local, outputs, inputs)
                 r = outputs.shape[1]
                 y = residual[:, :, inputs].transpose(1, 2).flatten(2)  # (B, T, K r_in), view by view
-                zero = torch.zeros_like(y[0])
+                zero = y.new_zeros(y.shape[1:])
                 given = condition_gaussian(
                     zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y
                 )
@@ -170,9 +175,27 @@ class GroupRelighter:
         return covariance + torch.where(same, local[view[:, None], view[None], pixel[:, :, None]].double(), 0.0)
 
 
+def _check_partition(regions: Sequence[Region], pixels: int) -> None:
+    """Every pixel is rendered once, from pixels that exist."""
+    times = torch.zeros(pixels, dtype=torch.long)
+    for region in regions:
+        outputs = check_index(region.outputs, "region outputs", "T r_out", pixels)
+        inputs = check_index(region.inputs, "region inputs", "T r_in", pixels)
+        if len(inputs) != len(outputs):
+            raise ValueError(f"regions: expected inputs for each of {len(outputs)} groups, got {len(inputs)}")
+        times += outputs.flatten().cpu().bincount(minlength=pixels)
+    left, twice = int((times == 0).sum()), int((times > 1).sum())
+    if left or twice:
+        raise ValueError(
+            f"regions: expected every one of {pixels} pixels once, got {left} in none and {twice} in several;"
+            " make them of a partition with make_regions"
+        )
+
+
 def _unit(samples: Tensor) -> Tensor:
     """Columns centred and of unit length; zero where a pixel never varies."""
-    if samples.dim() != 2 or len(samples) < 2:
+    check_finite(check_shape(samples, "samples", "S P"), "samples", "images as rows")
+    if len(samples) < 2:
         raise ValueError(f"samples: expected two or more images as rows (S, P), got {tuple(samples.shape)}")
     centred = samples - samples.mean(0)
     return centred / centred.norm(dim=0).clamp_min(1e-12)

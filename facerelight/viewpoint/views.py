@@ -14,10 +14,12 @@ from typing import Any, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from facerelight.geometry.lights import unit_lights
 from facerelight.model.statistics import FaceStatistics
 from facerelight.model.subjects import fill_missing, fill_operators, gather_grams
+from facerelight.numerics.checks import check_radiance
 
-__all__ = ["LightViews", "ViewFields", "ViewSource"]
+__all__ = ["LightViews", "ViewFields", "ViewSource", "check_view_images"]
 
 
 class ViewFields(NamedTuple):
@@ -42,6 +44,21 @@ class ViewSource(Protocol):
     def fields(self, views: Sequence[Any]) -> ViewFields: ...
 
 
+ROUNDING = 1e-6  # of a unit vector's length
+
+
+def check_view_images(images: Tensor, source_views: Sequence[Any], size: tuple[int, int]) -> None:
+    """Images ``(B, K, H, W)`` in radiance, and a view for each of K >= 1; else a ``ValueError``."""
+    check_radiance(images, "images", "B K H W", size)
+    if not isinstance(source_views, Sequence) and not (isinstance(source_views, Tensor) and source_views.dim()):
+        raise ValueError(f"views: expected one for each of {images.shape[1]} images, got {source_views!r}")
+    if len(source_views) != images.shape[1] or not images.shape[1]:
+        raise ValueError(
+            f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views,"
+            f" got {tuple(images.shape)} and {len(source_views)} views"
+        )
+
+
 class LightViews:
     """Views that differ in light alone: n and v of every bootstrap person kept, so that pixels can be modelled several
     at a time.
@@ -59,7 +76,8 @@ class LightViews:
         height, width = statistics.size
         grams = gather_grams(statistics.store, statistics.lights, statistics.options.block)
         images = fill_missing(statistics.store.block(0, height * width), fill_operators(grams))
-        n = torch.linalg.pinv(statistics.lights.double()).float() @ images
+        images = images.to(statistics.lights)
+        n = torch.linalg.pinv(statistics.lights.double()).to(images) @ images
         v = images - statistics.lights @ n
         self._n, deviation = n - n.mean(0), v - v.mean(0)
         length = deviation.square().sum(0).sqrt()  # (J, P)
@@ -76,7 +94,14 @@ class LightViews:
 
     def fields(self, views: Sequence[Tensor] | Tensor) -> ViewFields:
         """Fields under lights ``(V, 3)``: ``n^T s`` and ``sigma(s) w(s).(v / sigma)`` (3.13, 4.5, 4.6)."""
-        lights = torch.stack([torch.as_tensor(view, dtype=torch.float32) for view in views])
+        try:
+            lights = torch.stack([torch.as_tensor(view).to(self.statistics.lights) for view in views])
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"views: expected a light (3,) each, got {views!r}") from error
+        if lights.dim() != 2:
+            raise ValueError(f"views: expected a light (3,) each, got {tuple(lights.shape[1:])}")
+        length = torch.linalg.vector_norm(lights, dim=1, keepdim=True)
+        lights = torch.where((length - 1).abs() < ROUNDING, lights, unit_lights(lights))
         weights = self.statistics.weights(lights)  # (V, J)
         std = (weights @ self._std.square()).sqrt()  # (V, P)
         mixed = torch.einsum("vj,njp->vnp", weights, self._unit)

@@ -8,6 +8,7 @@ from facerelight.numerics.gaussian import (
     NumericalWarning,
     condition_gaussian,
     correlation_factor,
+    positive_root,
     safe_cholesky,
 )
 from facerelight.numerics.kernels import kernel_weights, neighbour_widths
@@ -69,3 +70,12 @@ def test_neighbour_widths() -> None:
     assert neighbour_widths(torch.zeros(1, 1), 3).item() == 1.0
     with pytest.raises(ValueError, match="at least 1"):
         neighbour_widths(torch.zeros(2, 2), 0)
+
+
+def test_the_root_of_nothing_has_no_slope() -> None:
+    values = torch.tensor([4.0, 0.0, -1e-9], requires_grad=True)
+    root = positive_root(values)
+    root.sum().backward()
+    assert root.tolist() == [2.0, 0.0, 0.0]
+    assert values.grad is not None
+    assert values.grad.tolist() == [0.25, 0.0, 0.0]

@@ -373,3 +373,40 @@ def test_k_nearest_neighbours_vote_as_in_scikit_learn() -> None:
         assert [ours[i] for i in clear] == [int(votes[i].argmax()) for i in clear]
     with pytest.raises(ValueError, match="neighbors"):
         NearestNeighborClassifier(neighbors=0)
+
+
+@pytest.mark.parametrize("make", [NearestNeighborClassifier, functools.partial(GlobalPCAClassifier, 60)])
+def test_near_twins_find_themselves(make) -> None:
+    """200 people 0.03 grey levels apart: a difference of large numbers, which float32 would lose."""
+    generator = torch.Generator().manual_seed(0)
+    face = 0.3 + 0.5 * torch.rand(48, 42, generator=generator)
+    twins = face + 0.03 / 255 * torch.randn(200, 48, 42, generator=generator)
+    assert make().fit(twins, list(range(200))).score(twins, list(range(200))) == 1.0
+
+
+def test_people_join_the_one_subspace_of_all() -> None:
+    """As if all had been there from the first: the same answers, and nearly the same subspace of the exemplars."""
+    images, labels = faces()
+    first = [i for i, label in enumerate(labels) if label in labels[:12]]
+    rest = [i for i in range(len(labels)) if i not in first]
+    whole = GlobalPCAClassifier(None, 1e-3).fit(images, labels)
+    grown = GlobalPCAClassifier(60, 1e-3).fit(images[first], [labels[i] for i in first])
+    before = grown.basis.shape[1]
+    for i in rest:
+        grown.partial_fit(images[i : i + 1], labels[i])
+    assert grown.basis.shape[1] > before
+    assert grown.classes_ == whole.classes_
+    assert (grown.basis.T @ grown.basis - torch.eye(grown.basis.shape[1])).abs().max() < 1e-4
+    left = (images.flatten(1) - grown.mean) @ (torch.eye(360) - grown.basis @ grown.basis.T)
+    assert left.square().sum() < 2e-3 * images.square().sum()
+    probes = images + 0.01 * torch.randn(images.shape, generator=torch.Generator().manual_seed(1))
+    assert grown.predict(probes) == whole.predict(probes) == list(labels)
+    columns = grown.basis.shape[1]
+    grown.partial_fit(images[:1], labels[0])  # what it knows already changes nothing
+    assert grown.basis.shape[1] == columns
+    with pytest.raises(RuntimeError, match="call fit first"):
+        GlobalPCAClassifier().partial_fit(images[:1], "ann")
+    with pytest.raises(ValueError, match="images"):
+        grown.partial_fit(images[:1, 1:], "ann")
+    with pytest.raises(ValueError, match="exemplars"):
+        grown.partial_fit(images[:0], "ann")
