@@ -78,7 +78,7 @@ def condition_and_lights(photo: np.ndarray, relighter: StatisticalRelighter, rep
             taken[name].append(value)
         for stage in ran:
             stages.setdefault(stage.name, []).append(stage.seconds)
-        for stage in session.stages[len(ran) :]:
+        for stage in [stage for stage in session.stages if stage not in ran]:
             stages.setdefault(f"further light: {stage.name}", []).append(stage.seconds)
     report: dict[str, Any] = {name: statistics.median(values) for name, values in taken.items()}
     rows = zip(taken["constructor"], taken["first light"], taken["light"], strict=True)
@@ -145,16 +145,18 @@ def run_large(path: Path, repeats: int) -> dict[str, float]:
     before = held("VmRSS")
     built, session = clocked(lambda: PhotoRelighter(photo, None, relighter))
     first = clocked(lambda: session.render(LAMP, fill=FILL))[0]
-    later = [clocked(lambda k=k: session.render(Lamp(-50 + 10 * k, 30), fill=FILL))[0] for k in range(repeats)]
+    later, pixels = [], []
+    for k in range(repeats):
+        later.append(clocked(lambda k=k: session.render(Lamp(-50 + 10 * k, 30), fill=FILL))[0])
+        pixels += [stage.seconds for stage in session.stages if stage.name == "pixels"]
     peak = held("VmHWM")
     x0, y0, x1, y1 = session.face.box
-    pixels = statistics.median([stage.seconds for stage in session.stages if stage.name == "pixels"][1:])
     values = {
         "held before MB": before,
         "constructor": built,
         "first light": first,
         "light": statistics.median(later),
-        "of it, pixels": pixels,
+        "of it, pixels": statistics.median(pixels),
     }
     return values | {"peak MB": peak - before, "face share": (x1 - x0) * (y1 - y0) / photo[..., 0].size}
 
