@@ -6,6 +6,7 @@ Exit codes: 0 done; 1 nothing found, or a part of several photos failed; 2 bad i
 from __future__ import annotations
 
 import json
+import os
 import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Sequence
@@ -33,6 +34,8 @@ VERBS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line ``argv`` (default: the process's) and return its exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
+    # Read when torch is imported: beside another busy process, threads that spin while they wait take five times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         verb = _verb(given[:1])
         return {"train": _train, "relight": _relight, "recognize": _recognize}[verb](given[1:])

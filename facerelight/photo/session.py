@@ -97,6 +97,8 @@ def relight(
         >>> relight(astronaut(), azimuth=-60, elevation=20).shape  # doctest: +SKIP
         (512, 512, 3)
     """
+    if lights is not None and (azimuth or elevation):
+        raise ValueError(f"lights: expected them or azimuth and elevation, got both ({azimuth:g}, {elevation:g})")
     wanted = [Lamp(azimuth, elevation, size)] if lights is None else _as_sources(lights)
     scene_light(wanted, fill)  # said before the work what is wrong with them
     _check_share("strength", strength)

@@ -643,5 +643,7 @@ def test_python_says_what_the_command_line_says(astronaut: np.ndarray, relighter
     two = np.concatenate((astronaut[:, :350], astronaut[:, :350]), 1)
     with pytest.warns(UserWarning, match="face: the largest whole one of 2"):
         relight(two, 20, 0, relighter=relighter)
+    with pytest.raises(ValueError, match="lights: expected them or azimuth"):
+        relight(astronaut, 60, 0, MARKS, relighter, lights=[Lamp(-60, 0)])
     with pytest.raises(ValueError, match=r"PIL.Image.open"):
         relight("me.jpg", relighter=relighter)  # type: ignore[type-var]

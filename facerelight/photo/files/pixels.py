@@ -29,8 +29,8 @@ def as_rgb(photo: np.ndarray) -> np.ndarray:
     ):
         shape = getattr(photo, "shape", type(photo).__name__)
         raise ValueError(
-            f"photo: expected an array (H, W), (H, W, 3) or (H, W, 4), or a Pillow image, got {shape}; "
-            "a file is read by PIL.Image.open"
+            f"photo: expected an array (H, W), (H, W, 3) or (H, W, 4), got {shape}; "
+            "relight() takes what PIL.Image.open gives as well"
         )
     if min(photo.shape[:2]) < LEAST_SIDE:
         raise ValueError(f"photo: expected (H, W, 3) of at least {LEAST_SIDE} x {LEAST_SIDE} pixels, got {photo.shape}")
