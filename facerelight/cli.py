@@ -34,7 +34,7 @@ VERBS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line ``argv`` (default: the process's) and return its exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
-    # Read when torch is imported: beside another busy process, threads that spin while they wait take five times as long.
+    # Read when torch is imported: beside a busy process, threads that spin while they wait take five times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         verb = _verb(given[:1])
