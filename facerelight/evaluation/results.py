@@ -76,6 +76,13 @@ class ScriptParser(ArgumentParser):
             writer.writeheader()
             writer.writerows(rows)
 
+    def print_rows(self, rows: Sequence[Mapping[str, object]], path: Path | None) -> None:
+        """The table of ``rows`` on the screen, and in ``path`` as Markdown where one is named."""
+        table = markdown(rows)
+        print(table)
+        if path:
+            path.write_text(table + "\n")
+
     def save_report(self, path: Path | None, report: dict | list) -> None:
         """A report as JSON, with :meth:`made` as its ``made``, or as that of each of its parts where it is a list.
         Nothing where there is no path."""

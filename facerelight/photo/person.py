@@ -8,11 +8,11 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window
+from facerelight.photo.bust.frame import Window, smooth_step
 from facerelight.photo.bust.matte import ground_behind, person_matte
-from facerelight.photo.colour import LUMA, SkinColour, to_scene
+from facerelight.photo.colour import LUMA, SkinColour
 from facerelight.photo.faces.features import Features, facial_features
-from facerelight.photo.ratio import SAME_LIGHT
+from facerelight.photo.ratio import surely_another
 from facerelight.photo.skin import skin_colour
 from facerelight.photo.stages import StageLog
 
@@ -36,6 +36,7 @@ class Person:
 
     Args:
         copy: ``(h, w, 3)`` the window's copy, sRGB in 0..1.
+        scene: ``(h, w, 3)`` its radiance.
         window: the window.
         points: the face's dense points ``(468, 3)`` in pixels of the photograph, or None.
         mask: ``(H, W)`` of the model's crop, where the face's skin is sure.
@@ -46,14 +47,14 @@ class Person:
     def __init__(
         self,
         copy: np.ndarray,
+        scene: np.ndarray,
         window: Window,
         points: np.ndarray | None,
         mask: np.ndarray,
         log: StageLog,
         exhaustive: bool = False,
     ) -> None:
-        self.copy, self.window, self.points, self.mask = copy, window, points, mask
-        self.scene = to_scene(copy)
+        self.copy, self.scene, self.window, self.points, self.mask = copy, scene, window, points, mask
         self._log, self._exhaustive = log, exhaustive
 
     @cached_property
@@ -75,7 +76,7 @@ class Person:
         with self._log.measure("matte", "the picture shows more than the face"):
             matte = person_matte(np.round(self.copy * 255).astype(np.uint8), self.window)
             face = np.clip((1 - self.oval) / 0.3, 0, 1)
-            cover = np.maximum(matte, face * face * (3 - 2 * face) * (matte > 0.05)) * self.window.fade()
+            cover = np.maximum(matte, smooth_step(face) * (matte > 0.05)) * self.window.fade()
             return cover.astype(np.float32)
 
     @cached_property
@@ -116,7 +117,7 @@ class Person:
         """How surely the light is another, 0 to 1: what varies over the skin."""
         skin = self._sure_skin
         variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
-        return variance / (variance + SAME_LIGHT**2)
+        return surely_another(variance)
 
     def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
         """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there

@@ -17,10 +17,10 @@ import numpy as np
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.sources import LightMixture
 from facerelight.numerics.luminance import RATIO_FLOOR
-from facerelight.photo.bust.frame import BUST, FINE, between, blur, crop_onto
+from facerelight.photo.bust.frame import BUST, FINE, between, blur, crop_onto, smooth_step
 from facerelight.photo.bust.shading import BustShading
 
-__all__ = ["FaceEvidence", "LightRatio"]
+__all__ = ["FaceEvidence", "LightRatio", "surely_another"]
 
 LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
 COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly the bust
@@ -63,7 +63,7 @@ class LightRatio:
     def __init__(self, face: FaceEvidence, crop: CropFrame, shading: BustShading, source: LightMixture) -> None:
         self.face, self.crop, self.shading = face, crop, shading
         weight = np.clip((1 - crop.oval().numpy()) / 0.3, 0, 1)
-        self.weight = crop_onto((weight * weight * (3 - 2 * weight)).astype(np.float32), crop, FINE)
+        self.weight = crop_onto(smooth_step(weight).astype(np.float32), crop, FINE)
         self._norm = np.maximum(blur(self.weight, COARSE * FINE.density), 1e-3)
         rim = crop_onto(blur(face.mask, 1.5), crop, FINE)
         self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
@@ -102,10 +102,9 @@ class LightRatio:
             + np.clip(level, -LEVEL, LEVEL)
             + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
         )
+        # hair is hardly deeper in shade or brighter than the face
         low, high = np.quantile(inner[self.weight > 0.5], (0.05, 0.95))
-        outer = np.clip(
-            outer, low - DEEPER, high + BRIGHTER
-        )  # hair is hardly deeper in shade or brighter than the face
+        outer = np.clip(outer, low - DEEPER, high + BRIGHTER)
         outer = np.clip(blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
         return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
 
@@ -126,7 +125,7 @@ class LightRatio:
         weight = self.weight * self.trust + 1e-6
         mean = float((weight * inner).sum() / weight.sum())
         variance = float((weight * (inner - mean) ** 2).sum() / weight.sum())
-        return variance / (variance + SAME_LIGHT**2)
+        return surely_another(variance)
 
     def _maps(self, light: LightMixture) -> tuple[np.ndarray, np.ndarray]:
         """The face's radiance and the white bust's irradiance under ``light``, ``(H, W, C)`` each: the sum over its
@@ -180,6 +179,11 @@ class LightRatio:
             self.shading.fine_lambert(one)[..., None] * share for one, share in zip(directions, weights, strict=True)
         )
         return lit * seen[..., None]
+
+
+def surely_another(variance: float) -> float:
+    """How surely a light is another, 0 to 1, from the ``variance`` of its log ratio."""
+    return variance / (variance + SAME_LIGHT**2)
 
 
 def _lamps(light: LightMixture) -> list[np.ndarray]:

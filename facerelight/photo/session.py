@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import chain
 from numbers import Real
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -114,6 +114,16 @@ def relight(
     return session.render(wanted, fill=fill, strength=strength)
 
 
+class _Aligned(NamedTuple):
+    """A face's ``window``, its ``copy (h, w, 3)`` and ``scene (h, w, 3)`` radiance, and ``crop (3, h', w')``, the
+    model's part of that."""
+
+    window: Window
+    copy: np.ndarray
+    scene: np.ndarray
+    crop: Tensor
+
+
 class PhotoRelighter:
     """One photo, conditioned once and rendered under as many lights as wanted.
 
@@ -158,16 +168,15 @@ class PhotoRelighter:
         self.frame = crop_frame(self.relighter)
         with self._log.measure("face", "marked by hand" if landmarks is not None else "found in the picture"):
             self.face, self._faces = locate_face(self._pixels, landmarks, face)
-        self.window, crop = self._align(self._pixels, self.face.landmarks)
+        aligned = self._align(self._pixels, self.face.landmarks)
+        self.window = aligned.window
         with self._log.measure("model", "the face's statistics"):
-            crops = [
-                crop,
-                *(self._align(as_rgb(other), locate_face(as_rgb(other), None, None)[0].landmarks)[1] for other in more),
-            ]
+            others = ((as_rgb(other), locate_face(as_rgb(other), None, None)[0]) for other in more)
+            crops = [aligned.crop, *(self._align(pixels, found.landmarks).crop for pixels, found in others)]
             rotation = None if self._points is None else head_rotation(self._points)
             self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
-        copy, mask = small_copy(self._pixels, self.window), self.model.mask.numpy()
-        self.person = Person(copy, self.window, self.face.points, mask, self._log, self._exhaustive)
+        shown, mask = (aligned.copy, aligned.scene, self.window), self.model.mask.numpy()
+        self.person = Person(*shown, self.face.points, mask, self._log, self._exhaustive)
 
     # -- what is known of the photo
 
@@ -212,10 +221,7 @@ class PhotoRelighter:
     @property
     def matte(self) -> np.ndarray:
         """Cover of the person in 0..1, ``(H, W)`` float32; 0 beyond the bust."""
-        matte = np.zeros(self._pixels.shape[:2], np.float32)
-        part = matte[self.window.rows, self.window.columns]
-        part[...] = cv2.resize(self.person.cover, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        return matte
+        return self._on_photo(self.person.cover)
 
     @property
     def stages(self) -> list[Stage]:
@@ -289,10 +295,13 @@ class PhotoRelighter:
         """How unsure the model is of the face: the standard deviation of scene radiance, ``(H, W)`` float32, 0 outside
         the face."""
         maps = self.model.std(light_from_angles(float(azimuth), float(elevation)).numpy()) * self.mask.numpy()
-        height, width = self._pixels.shape[:2]
-        out = np.zeros((height, width), np.float32)
+        return self._on_photo(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0))
+
+    def _on_photo(self, image: np.ndarray) -> np.ndarray:
+        """A map of the window's copy on the photo, ``(H, W)`` float32; 0 beyond the window."""
+        out = np.zeros(self._pixels.shape[:2], np.float32)
         part = out[self.window.rows, self.window.columns]
-        part[...] = cv2.resize(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0), part.shape[::-1])
+        part[...] = cv2.resize(image, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return out
 
     @cached_property
@@ -324,12 +333,14 @@ class PhotoRelighter:
             evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
             return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
 
-    def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> tuple[Window, Tensor]:
-        """The window around a face, and the model's crop of it: scene radiance ``(3, h, w)``."""
+    def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> _Aligned:
+        """The window around a face, its copy, and the model's crop of it."""
         matrix = fit_similarity(check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
         window = working_window(pixels.shape, matrix, self.frame)
-        crop = window.onto_crop(to_scene(small_copy(pixels, window)))
-        return window, torch.from_numpy(np.ascontiguousarray(crop.transpose(2, 0, 1)))
+        copy = small_copy(pixels, window)
+        scene = to_scene(copy)
+        crop = torch.from_numpy(np.ascontiguousarray(window.onto_crop(scene).transpose(2, 0, 1)))
+        return _Aligned(window, copy, scene, crop)
 
 
 def _as_sources(lights: object) -> list[Source]:

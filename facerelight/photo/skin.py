@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window, blur
+from facerelight.photo.bust.frame import Window, blur, smooth_step
 from facerelight.photo.colour import LUMA, SkinColour, least_channel, most_channel, part_highlight
 
 __all__ = ["skin_colour"]
@@ -49,7 +49,7 @@ def skin_colour(
     dark = np.clip((DARK_PIGMENT - relative) / 0.2, 0, 1) * np.clip(4 * near, 0, 1)
     x, y = window.places()
     beside_nose = np.clip((1 - np.hypot(x / NOSE[0], (y - NOSE[1]) / NOSE[2])) / 0.3, 0, 1)
-    pigment = on_face * on_face * (3 - 2 * on_face) * dark * (1 - beside_nose)
+    pigment = smooth_step(on_face) * dark * (1 - beside_nose)
     typical = _mean_colour(small, weight * np.clip(1.6 - 2 * (small @ LUMA), 0, 1))
     lit_small = cv2.resize(
         np.maximum(sure, inside).astype(np.float32), small.shape[1::-1], interpolation=cv2.INTER_AREA

@@ -23,7 +23,7 @@ from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
 from facerelight.evaluation.recognition import evaluate_galleries, training_lights
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import angle_pairs
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
@@ -161,9 +161,7 @@ def main() -> None:
             scans = rendered(replace(config, source=str(args.ict), domain=upright), {})
             row("scanned heads instead (ICT-FaceKit)", scans)
             row("both kinds of heads, half of each", torch.cat((images[::2], scans[::2])))
-    print(markdown(rows))
-    if args.markdown:
-        args.markdown.write_text(markdown(rows) + "\n")
+    parser.print_rows(rows, args.markdown)
     parser.save_rows(args.csv, rows)
 
 

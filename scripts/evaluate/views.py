@@ -14,7 +14,7 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser
 from facerelight.recognition.nearest import NearestNeighborClassifier
 from facerelight.recognition.pca import IndividualPCAClassifier
 from facerelight.recognition.photometric import make_normalizer
@@ -91,9 +91,7 @@ def main() -> None:
         row(name, IndividualPCAClassifier(9).fit(images, owners))
         row(f"{name}, Weber faces", IndividualPCAClassifier(9, normalizer=normalizer).fit(images, owners))
         row(f"{name}, nearest exemplar", NearestNeighborClassifier().fit(images, owners))
-    print(markdown(rows))
-    if args.markdown:
-        args.markdown.write_text(markdown(rows) + "\n")
+    parser.print_rows(rows, args.markdown)
     parser.save_rows(args.csv, rows)
 
 

@@ -11,7 +11,7 @@ import torch
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.evaluation.results import ScriptParser
-from facerelight.evaluation.visualize import contact_sheet, needle_map
+from facerelight.evaluation.visualize import contact_sheet
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 from facerelight.geometry.sources import Lamp
@@ -42,7 +42,6 @@ def relit_sheet(photo: Path, output: Path) -> None:
         rows.append([pixels[view], *(session.render(lamps, fill=FILL)[view] for lamps in scenes.values())])
         names.append([f"photo; lamps {kind}", *scenes])
     contact_sheet(rows, names, output / "relit.png", height=2.2)
-    needle_map(session.relighter.statistics.n_mean, output / "needles.png")
 
 
 def light_sheet(output: Path) -> None:

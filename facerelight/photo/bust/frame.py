@@ -14,7 +14,7 @@ import numpy as np
 
 from facerelight.geometry.alignment import CropFrame
 
-__all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "working_window"]
+__all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "smooth_step", "working_window"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Window:
             (y + REACH[2]) / FADE[1], np.minimum((REACH[0] - np.abs(x)) / FADE[0], (REACH[1] - y) / 0.5)
         )
         inside = np.clip(inside, 0, 1)
-        return (inside * inside * (3 - 2 * inside)).astype(np.float32)
+        return smooth_step(inside).astype(np.float32)
 
     def onto(self, image: np.ndarray, grid: Grid, border: int = cv2.BORDER_REPLICATE) -> np.ndarray:
         """A map of the copy on ``grid``."""
@@ -177,6 +177,11 @@ def blur(image: np.ndarray, sigma: float) -> np.ndarray:
     # a box of 1 / scale pixels and linear interpolation blur by themselves, in pixels of the small map by 1/12 and 1/6
     own = np.sqrt((sigma * scale) ** 2 - 1 / 12 - 1 / 6)
     return cv2.resize(cv2.GaussianBlur(small, (0, 0), own), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def smooth_step(share: np.ndarray) -> np.ndarray:
+    """``share`` in 0..1, eased at both ends: ``t^2 (3 - 2 t)``."""
+    return share * share * (3 - 2 * share)
 
 
 def compose(second: np.ndarray, first: np.ndarray) -> np.ndarray:

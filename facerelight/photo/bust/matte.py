@@ -12,7 +12,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import Window, blur, compose
+from facerelight.photo.bust.frame import Window, blur, compose, smooth_step
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
 __all__ = ["ground_behind", "person_matte"]
@@ -24,10 +24,8 @@ TIGHT = (0.1, 0.95)  # of the filtered cover: what is nearly background is backg
 COARSE = 40.0  # pixels a unit of the copy on which the ground is averaged
 GROUND = (0.5, 0.1)  # units around in which the ground behind a person is looked for, far and near
 THROUGH = 0.4  # units around in which the ground is looked at
-DIFFERS, VARIES = (
-    (0.05, 0.1),
-    (0.06, 0.1),
-)  # of its level: a colour this near is the ground's; a ground that varies more is not plain
+DIFFERS = (0.05, 0.1)  # of the ground's level: a colour this near is the ground's
+VARIES = (0.06, 0.1)  # of its level: a ground that varies more is not plain
 FLAT, BLANK = 1, 0.01  # grey levels that one colour varies by; share of the picture that is worth a look
 RINGING, ALIKE = 8, 24.0  # pixels around it, and grey levels, within which compression left traces of it
 SEEN = 0.4  # of the face at least, else the network has not seen the person
@@ -49,7 +47,7 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
     oval = np.hypot(x, (y + 0.42) / 1.42)  # of the face, 1 on its outline
     if float(cover[oval < 0.7].mean()) < SEEN:  # no person where the face is: the face alone
         rim = np.clip((1 - oval) / 0.4, 0, 1)
-        return (rim * rim * (3 - 2 * rim)).astype(np.float32)
+        return smooth_step(rim).astype(np.float32)
     cover = np.clip((cover - 0.5) * 1.6 + 0.5, 0, 1).astype(np.float32)
     fine = cv2.ximgproc.guidedFilter(image, cover, max(2, int(RADIUS * window.unit)), EDGE)
     cover = np.clip((fine - TIGHT[0]) / (TIGHT[1] - TIGHT[0]), 0, 1)
@@ -103,13 +101,11 @@ def _blank(image: np.ndarray, window: Window) -> np.ndarray:
     above = border & (window.places()[1] > 0)
     large = found[:, cv2.CC_STAT_AREA] > BLANK * flat.size
     large[0] = False
-    grounds = [image[labels == one].mean(0) for one in np.unique(labels[above]) if large[one]]
-    blank: np.ndarray = np.zeros(flat.shape, np.float32)
-    for one in np.unique(labels[border]):
-        part = labels == one
-        if large[one] and any(np.abs(image[part].mean(0) - ground).max() < FLAT + 1 for ground in grounds):
-            blank[part] = 1
-    if not blank.any():
+    colours = {one: image[labels == one].mean(0) for one in np.unique(labels[border]) if large[one]}
+    grounds = [colours[one] for one in np.unique(labels[above]) if large[one]]
+    plain = [one for one, own in colours.items() if any(np.abs(own - ground).max() < FLAT + 1 for ground in grounds)]
+    blank = np.isin(labels, plain).astype(np.float32)
+    if not plain:
         return blank
     near = cv2.dilate(blank, np.ones((2 * RINGING + 1,) * 2, np.uint8)) > 0
     colour = blur(image * blank[..., None], RINGING) / np.maximum(blur(blank, RINGING), 1e-3)[..., None]

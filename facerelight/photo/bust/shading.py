@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facerelight.photo.bust.frame import BUST, FINE
+from facerelight.photo.bust.frame import BUST, FINE, smooth_step
 from facerelight.photo.bust.surface import BELOW, Bust
 
 __all__ = ["BustShading", "horizon", "visible_share"]
@@ -65,7 +65,7 @@ def visible_share(ends: np.ndarray, light: np.ndarray, size: float) -> np.ndarra
     is above the horizon."""
     rise = np.arctan2(float(light[2]), float(np.hypot(light[0], light[1])))
     share = np.clip((rise - ends) / (2 * np.deg2rad(max(size, SMALLEST))) + 0.5, 0, 1)
-    return share * share * (3 - 2 * share)
+    return smooth_step(share)
 
 
 class BustShading:
@@ -81,7 +81,7 @@ class BustShading:
         self.marches = 0
         x, y = FINE.places()
         known = np.clip((1.15 - np.hypot(x / 1.6, (y + 0.9) / 2.3)) / 0.3, 0, 1)
-        self._known = (known * known * (3 - 2 * known)).astype(np.float32)
+        self._known = smooth_step(known).astype(np.float32)
         self._low = cv2.resize(bust.height, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # enough for soft light
         self._coarse: dict[int, np.ndarray] = {}
         self._fine: dict[tuple[float, float], np.ndarray] = {}
