@@ -44,8 +44,8 @@ Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
 
 class SourceLight(NamedTuple):
     """A crop's own light: ``direction (3,)``, its middle, zero for a black crop; ``amounts (J,)`` of the bootstrap
-    lights; ``equivalent (h, w)``, what the crop would look like under the one direction at unit strength; ``scale (h, w)``,
-    what its grey levels were multiplied by for that."""
+    lights; ``equivalent (h, w)``, what the crop would look like under the one direction at unit strength;
+    ``scale (h, w)``, what its grey levels were multiplied by for that."""
 
     direction: Tensor
     amounts: Tensor
