@@ -8,6 +8,7 @@ from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.inference.posterior import Relit
+from facerelight.model.brightness import read_gain
 from facerelight.model.covariance import deviation_covariance, light_terms, observed
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
@@ -24,12 +25,22 @@ class MaximumLikelihood:
         statistics: only the deviation's are used: n has no prior here.
         images: ``(K, H, W)`` of one person, K >= 3.
         lights: ``(K, 3)`` of rank 3.
+        noise: standard deviation of the images' noise in radiance, ``(K, 1)`` or ``(K, P)``; None: none, and the images
+            are returned exactly.
+        mask: ``(H, W)``, 0 where the images do not show the face and so say nothing about its brightness.
 
     Raises:
         ValueError: fewer than three lights, or lights (nearly) in one plane; says how many and the condition number.
     """
 
-    def __init__(self, statistics: FaceStatistics, images: Tensor, lights: Tensor) -> None:
+    def __init__(
+        self,
+        statistics: FaceStatistics,
+        images: Tensor,
+        lights: Tensor,
+        noise: Tensor | None = None,
+        mask: Tensor | None = None,
+    ) -> None:
         assert statistics.pixel is not None
         self.statistics = statistics
         self.lights = unit_lights(lights)
@@ -42,18 +53,25 @@ class MaximumLikelihood:
             )
         self.terms = light_terms(statistics, statistics.pixel, self.lights)
         covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)
-        self.factor = gaussian.safe_cholesky(observed(covariance))
+        pixels = images.flatten(1)  # (K, P)
+        sigma = images.new_zeros(len(lights), 1, dtype=torch.float64) if noise is None else noise.double()
+        self.noise_variance = sigma.square().mean(0)  # of a new image, (1,) or (P,)
+        trusted = self.terms.weights @ statistics.gain_noise
+        weight = None if mask is None else mask.flatten()
+        self.gain = read_gain(pixels, self.terms.mean, float(statistics.gain_spread), trusted, weight)
+        self.factor = gaussian.safe_cholesky(observed(covariance, sigma.T / self.gain.value))
         average = self.terms.weights @ statistics.v_mean.flatten(1)  # (K, P)
-        residual = (images.flatten(1) - average).double().T[..., None]  # y - mu_v, (P, K, 1)
+        # y - mu_v of the images, and of black ones: (P, K, 2)
+        residual = torch.stack((pixels / self.gain.value - average, -average), -1).double().transpose(0, 1)
         design = self.lights.double().expand(len(residual), -1, -1)  # S^T, (P, K, 3)
         self._design = gaussian.solve_lower(self.factor, design)
         white = gaussian.solve_lower(self.factor, residual)
         self._precision = gaussian.safe_cholesky(self._design.mT @ self._design)  # of n, (P, 3, 3)
-        self.normal = torch.cholesky_solve(self._design.mT @ white, self._precision)  # n_MLE, (P, 3, 1)
+        self.normal = torch.cholesky_solve(self._design.mT @ white, self._precision)  # n_MLE, (P, 3, 2)
         self._left = white - self._design @ self.normal
 
     def render(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance ``(P,)`` under one light ``(3,)``.
+        """Mean and variance ``(P,)`` under one light ``(3,)``, noise and what is not known of the gain counted.
 
         The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
         input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
@@ -65,14 +83,17 @@ class MaximumLikelihood:
         shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
         cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r
         average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]
-        mean = (self.normal[..., 0] @ target[0].double()) + average + (cross.mT @ self._left)[:, 0, 0]
+        mean = target.double() @ self.normal + average[:, None, None] + cross.mT @ self._left  # (P, 1, 2)
+        mean, black = mean[:, 0].unbind(1)
         missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
         of_normal = gaussian.solve_lower(self._precision, missing).square().sum((1, 2))
         own = deviation_covariance(statistics, pixel, terms, terms)[:, 0, 0]
-        return mean, of_normal + gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
+        variance = of_normal + gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
+        gain, spread = self.gain  # the mean under gain g is g black + (what is linear in the images)
+        return gain * mean, gain**2 * (variance + spread**2 * black.square()) + self.noise_variance
 
     def relight(self, targets: Tensor) -> Relit:
-        """Mean and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
+        """Mean, never negative, and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
         if not len(targets):
             empty = self.lights.new_zeros(0, *self.statistics.size)
             return Relit(empty, empty)
@@ -80,7 +101,7 @@ class MaximumLikelihood:
             torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True)
         )
         size = self.statistics.size
-        return Relit(mean.unflatten(1, size).to(self.lights), variance.unflatten(1, size).to(self.lights))
+        return Relit(mean.clamp_min(0).unflatten(1, size).to(self.lights), variance.unflatten(1, size).to(self.lights))
 
     def normal_covariance(self) -> Tensor:
         """``Var[n_MLE] = (S Sigma_v^-1 S^T)^-1`` of every pixel, ``(P, 3, 3)``."""

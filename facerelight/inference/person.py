@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.model.brightness import Gain, read_gain
 from facerelight.model.covariance import (
     LightTerms,
     image_covariance,
@@ -40,13 +41,15 @@ class Components(NamedTuple):
 
 class _Evidence(NamedTuple):
     """One light hypothesis: input lights' terms, ``g = R_yy^-1 (y - mu_y)`` ``(K, P)`` and the factor of ``R_yy``
-    ``(P, K, K)``."""
+    ``(P, K, K)``; ``solved_black`` and ``code_black`` are those of black inputs, y = 0."""
 
     terms: LightTerms
     solved: Tensor
+    solved_black: Tensor
     cholesky: Tensor
     inputs: Tensor | None  # whitened loadings L^-1 L_y, (P, K, k)
-    gain: Tensor  # (), float64, the person's brightness
+    code_black: Tensor | None  # (k,)
+    gain: Gain  # the person's brightness
 
 
 class PersonPosterior:
@@ -59,6 +62,8 @@ class PersonPosterior:
         covariance: "pixel" or "face".
         mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face
             code.
+        noise: standard deviation of the inputs' noise in radiance, ``(K, 1)`` or ``(K, P)``; a new image is taken to be
+            as noisy as they are on average. None: none, and inputs are returned exactly.
     """
 
     def __init__(
@@ -68,6 +73,7 @@ class PersonPosterior:
         hypotheses: Tensor,
         covariance: str,
         mask: Tensor | None = None,
+        noise: Tensor | None = None,
     ) -> None:
         self.statistics = statistics
         self.face = statistics.face if covariance == "face" else None
@@ -76,6 +82,8 @@ class PersonPosterior:
         self.pixel = pixel
         self.visible = None if mask is None else mask.flatten().double()
         pixels = images.flatten(1)
+        sigma = images.new_zeros(len(images), 1, dtype=torch.float64) if noise is None else noise.double()
+        self.noise_variance = sigma.square().mean(0)  # of a new image, (1,) or (P,)
         self.n_map = torch.zeros_like(statistics.n_mean.flatten(1))
         self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
@@ -86,30 +94,34 @@ class PersonPosterior:
         seen = hypotheses.square().sum(-1) > 0
         for lights, kept in zip(hypotheses, seen, strict=True):
             if kept.any():
-                self._add(pixels[kept], unit_lights(lights[kept]), 1 / len(hypotheses))
+                self._add(pixels[kept], unit_lights(lights[kept]), sigma[kept], 1 / len(hypotheses))
         self.prior_share = 1 - len(self.evidence) / len(hypotheses)
         self.n_map += self.prior_share * statistics.n_mean.flatten(1)
         self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
-    def _add(self, images: Tensor, lights: Tensor, of_all: float) -> None:
+    def _add(self, images: Tensor, lights: Tensor, noise: Tensor, of_all: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
-        cholesky = gaussian.safe_cholesky(observed(covariance))  # (P, K, K)
-        gain = self._gain(images, terms)
-        residual = (images / gain - terms.mean).double().T[..., None]  # (P, K, 1)
-        whitened = gaussian.solve_lower(cholesky, residual)  # (P, K, 1)
-        inputs = None
+        known = read_gain(
+            images, terms.mean, float(statistics.gain_spread), terms.weights @ statistics.gain_noise, self.visible
+        )
+        gain = known.value
+        cholesky = gaussian.safe_cholesky(observed(covariance, noise.T / gain))  # (P, K, K)
+        residual = torch.stack((images / gain - terms.mean, -terms.mean), -1).double().transpose(0, 1)  # (P, K, 2)
+        whitened = gaussian.solve_lower(cholesky, residual)  # (P, K, 2): of the inputs, and of black ones
+        inputs, code_black = None, None
         if self.face is not None:
             loadings = loadings_at(self.face, terms)  # (K, k, P)
             inputs = gaussian.solve_lower(cholesky, loadings.permute(2, 0, 1).double())  # (P, K, k)
-            # (k, 1), (k, k)
+            # (k, 2), (k, k)
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
-            self.codes.append((code, spread))
+            self.codes.append((code[:, :1], spread))
+            code_black = code[:, 1]
             whitened = whitened - inputs @ code
             self._explain(code[:, 0].to(images), of_all * gain)
-        solved = gaussian.solve_upper(cholesky, whitened)[..., 0].T  # g, (K, P)
-        self.evidence.append(_Evidence(terms, solved, cholesky, inputs, gain))
+        solved, black = gaussian.solve_upper(cholesky, whitened).permute(2, 1, 0)  # g, (K, P)
+        self.evidence.append(_Evidence(terms, solved, black, cholesky, inputs, code_black, known))
         share = of_all * gain
         self.n_map += share * statistics.n_mean.flatten(1)
         self.v_map += share * statistics.v_mean.flatten(1)
@@ -129,19 +141,6 @@ class PersonPosterior:
         if self._left is None:
             self._left = 1 - self.pixel.v_factor.flatten(2).square().sum(1)
         return self._left
-
-    def _gain(self, images: Tensor, terms: LightTerms) -> Tensor:
-        """How bright the person is next to the average face: the least-squares gain of each input, shrunk towards 1 as
-        its noise demands."""
-        spread = float(self.statistics.gain_spread)
-        if spread == 0:
-            return images.new_ones((), dtype=torch.float64)
-        expected = terms.mean  # (K, P)
-        weight = torch.ones_like(expected[0]) if self.visible is None else self.visible.to(expected)
-        # (K,)
-        read = ((images * expected) @ weight / (expected.square() @ weight).clamp_min(1e-12)).clamp_min(1e-3).log()
-        trust = 1 / (terms.weights @ self.statistics.gain_noise).square()
-        return torch.exp((read * trust).sum() / (1 / spread**2 + trust.sum())).double()
 
     def _explain(self, code: Tensor, share: Tensor) -> None:
         """Move the mean maps by what the whole-face code says."""
@@ -200,7 +199,7 @@ class PersonPosterior:
         share."""
         kernel = self.statistics.nugget(targets, evidence.terms.light)  # (Q, K)
         rows = (kernel.amax(1) > NEAR).nonzero()[:, 0]
-        return rows, kernel[rows].double() * (evidence.gain * (1 - self.prior_share) / len(self.evidence))
+        return rows, kernel[rows].double() * (evidence.gain.value * (1 - self.prior_share) / len(self.evidence))
 
     def _narrow(self, weights: Tensor, kernel: Tensor, evidence: _Evidence, pixels: slice) -> Tensor:
         """``sigma(s) tau(s) sum_k k(s, s_k) tau(s_k) sigma_v(s_k) g_k`` (4.3), and the like for the loadings' lost
@@ -230,33 +229,70 @@ class PersonPosterior:
         return torch.stack([mixture_mode(*self.components(target)).to(target) for target in targets])
 
     def components(self, target: Tensor) -> Components:
-        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis
-        (3.6)."""
+        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis (3.6).
+
+        Its variances count noise and what is not known of the gain, and are never above the prior's. Behind the face,
+        where nothing was learned, they are never below those at the edge.
+        """
+        found = self._components(target)
+        if target[2] >= 0:
+            return found
+        new = 1 - self._meeting(target)  # (M,)
+        variance = found.variance
+        for edge, share in _edges(target):
+            variance = torch.maximum(variance, share * new[:, None] * self._components(edge).variance)
+        return found._replace(variance=variance)
+
+    def _components(self, target: Tensor) -> Components:
         target = target[None]
         terms = light_terms(self.statistics, self.pixel, target, self.face)
-        prior = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0, 0]  # (P,)
+        local = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0, 0]  # (P,)
         average = terms.mean[0].double()  # (P,)
-        outputs = None
-        if self.face is not None:
-            outputs = loadings_at(self.face, terms).double()[0].T  # (P, k)
+        outputs = None if self.face is None else loadings_at(self.face, terms).double()[0].T  # (P, k)
+        prior = local if outputs is None else local + outputs.square().sum(-1)
+        prior = prior + float(self.statistics.gain_spread) ** 2 * average.square() + self.noise_variance
         means, variances = [], []
         for index, evidence in enumerate(self.evidence):
             cross = image_covariance(self.statistics, self.pixel, evidence.terms, terms)  # (P, K, 1)
             whitened = gaussian.solve_lower(evidence.cholesky, cross)  # (P, K, 1)
-            variance = prior - whitened.square().sum((1, 2))  # (P,)
+            variance = gaussian.positive_variance(local - whitened.square().sum((1, 2)), local)  # (P,)
             mean = average + (cross[..., 0] * evidence.solved.T).sum(-1)  # (P,)
-            if outputs is not None and evidence.inputs is not None:
+            black = average + (cross[..., 0] * evidence.solved_black.T).sum(-1)  # (P,)
+            if outputs is not None and evidence.inputs is not None and evidence.code_black is not None:
                 code, spread = self.codes[index]
                 left = outputs - (whitened * evidence.inputs).sum(1)  # D, (P, k)
                 variance = variance + (left @ spread).square().sum(-1)
                 mean = mean + (outputs @ code)[:, 0]
-            means.append(evidence.gain * mean)
-            variances.append(evidence.gain**2 * gaussian.positive_variance(variance, prior))
+                black = black + outputs @ evidence.code_black
+            # The mean under gain g is g black + (what is linear in the inputs): that is its slope, zero at an input.
+            gain = evidence.gain
+            variance = gain.value**2 * (variance + gain.spread**2 * black.square()) + self.noise_variance
+            means.append(gain.value * mean)
+            variances.append(torch.minimum(variance, prior))
         weight = [(1 - self.prior_share) / len(means)] * len(means) if means else []
         if self.prior_share > 0:
             means.append(average)
-            variances.append(prior if outputs is None else prior + outputs.square().sum(-1))
+            variances.append(prior)
             weight.append(self.prior_share)
         return Components(
             torch.stack(means), torch.stack(variances), torch.tensor(weight, dtype=prior.dtype).to(prior.device)
         )
+
+    def _meeting(self, target: Tensor) -> Tensor:
+        """How nearly ``target (3,)`` is an input light, component by component, 0 to 1, ``(M,)``."""
+        meeting = target.new_zeros(len(self.evidence) + (self.prior_share > 0), dtype=torch.float64)
+        for index, evidence in enumerate(self.evidence):
+            meeting[index] = self.statistics.nugget(target[None], evidence.terms.light).amax()
+        return meeting
+
+
+def _edges(target: Tensor) -> list[tuple[Tensor, float]]:
+    """Lights of the image plane about a ``target (3,)`` behind it, and how much each counts: the nearest fully, the
+    others the more, the nearer the target is to the axis, where all are alike."""
+    away = torch.nn.functional.pad(target[:2], (0, 1))
+    if float(away.norm()) < 1e-6:
+        away = target.new_tensor((1.0, 0.0, 0.0))
+    away = away / away.norm()
+    side = torch.stack((-away[1], away[0], away[2]))
+    depth = float(-target[2])
+    return [(away, 1.0), (-away, depth), (side, depth), (-side, depth)]

@@ -16,7 +16,11 @@ __all__ = ["Posterior", "Relit", "check_shape_of_lights"]
 
 
 class Relit(NamedTuple):
-    """Relit images: ``mean`` and ``variance`` of every pixel, ``(B, Q, H, W)`` each, radiance and radiance squared."""
+    """Relit images: ``mean`` and ``variance`` of every pixel, ``(B, Q, H, W)`` each, radiance and radiance squared.
+
+    A mean is never negative; the variance is that of the Gaussian before it is clamped, of an image as noisy as the
+    inputs.
+    """
 
     mean: Tensor
     variance: Tensor
@@ -43,7 +47,10 @@ class Posterior:
 
     def mean(self, target_lights: Tensor) -> Tensor:
         """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or
-        ``(B, Q, 3)``."""
+        ``(B, Q, 3)``.
+
+        Gaussians know no black: what they put below zero, as behind the face, is rendered as 0.
+        """
         return self._render("mean", target_lights)
 
     def mode(self, target_lights: Tensor) -> Tensor:
@@ -52,7 +59,8 @@ class Posterior:
         return self._render("mode", target_lights)
 
     def variance(self, target_lights: Tensor) -> Tensor:
-        """The variance of every relit pixel (3.17), ``(B, Q, H, W)``."""
+        """The variance of every relit pixel (3.17), ``(B, Q, H, W)``: of the person, the gain, the light where it was
+        estimated (Algorithm 2), and noise."""
         return self._render("variance", target_lights)
 
     def render(self, target_lights: Tensor) -> Relit:
@@ -80,10 +88,9 @@ class Posterior:
             [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
         )
         images = images.unflatten(-1, self.size).to(self.dtype or images.dtype)
-        if self.deformations is None:
-            return images
-        images = torch.stack([undeform(person, theta) for person, theta in zip(images, self.deformations, strict=True)])
-        return images.clamp_min(0) if what == "variance" else images
+        if self.deformations is not None:
+            images = torch.stack([undeform(i, theta) for i, theta in zip(images, self.deformations, strict=True)])
+        return images.clamp_min(0)
 
 
 def check_shape_of_lights(target_lights: Tensor, people: int) -> Tensor:

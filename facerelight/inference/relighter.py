@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,7 @@ from facerelight.inference.person import PersonPosterior
 from facerelight.inference.posterior import Posterior, Relit, check_shape_of_lights
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
+from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.compression import compress_estimator, decompress_estimator
 from facerelight.model.covariance import prior_mean
 from facerelight.model.file import replacing
@@ -36,7 +38,11 @@ class StatisticalRelighter(nn.Module):
         statistics: what the bootstrap taught; its maps are registered buffers of this module.
         covariance: "pixel" treats every pixel on its own, as the thesis does; "face" adds a code shared by the whole
             face.
-        estimator: finds the input lights where they are not given.
+        estimator: finds the input lights where they are not given; None: the statistics' own likelihood
+            (:class:`~facerelight.light.likelihood.LikelihoodIlluminationEstimator`), made when it is first needed.
+        noise: standard deviation of what an input holds besides the face (sensor, quantisation, compression, misfit of
+            the model), in grey levels of 255; inputs are returned within about that. 0: exactly (Theorem 3), but then
+            nearly equal lights blow up the least difference between their images.
 
     Example:
         >>> lights = torch.eye(3)
@@ -46,7 +52,11 @@ class StatisticalRelighter(nn.Module):
     """
 
     def __init__(
-        self, statistics: FaceStatistics, covariance: Covariance = "pixel", estimator: LightEstimator | None = None
+        self,
+        statistics: FaceStatistics,
+        covariance: Covariance = "pixel",
+        estimator: LightEstimator | None = None,
+        noise: float = 1.0,
     ) -> None:
         super().__init__()
         if covariance not in ("pixel", "face"):
@@ -60,6 +70,10 @@ class StatisticalRelighter(nn.Module):
         self.statistics = statistics
         self.covariance = covariance
         self.estimator = estimator
+        if not (math.isfinite(noise) and noise >= 0):
+            raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
+        self.noise = float(noise)
+        self._likelihood: list[LikelihoodIlluminationEstimator] = []  # in a list: no part of the module's state
 
     def condition(
         self,
@@ -70,6 +84,7 @@ class StatisticalRelighter(nn.Module):
         generator: torch.Generator | None = None,
         mask: Tensor | None = None,
         register: bool = False,
+        scale: Tensor | None = None,
     ) -> Posterior:
         """The expensive half, once: what is known of each person after seeing the images.
 
@@ -80,16 +95,18 @@ class StatisticalRelighter(nn.Module):
                 its image out of the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown,
                 and are estimated and integrated over.
             estimator: finds unknown lights; default: the module's own.
-            draws: samples of each unknown light (Algorithm 2).
+            draws: samples of each unknown light (Algorithm 2); with M sets of lights that are partly unknown, as many
+                more as make it a multiple of M, and each set meets equally many.
             generator: makes the samples another set; by default they are the same at every call.
             mask: ``(B, H, W)``, 1 where the images show the face; elsewhere they say nothing about light or identity.
                 None: everywhere.
             register: find where each face lies beside the model's, and render it there; for statistics of real, aligned
                 faces (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
+            scale: what a recorded grey level was multiplied by on the way to ``images``, ``(B, K)`` or
+                ``(B, K, H, W)``: noise is as much larger. None: 1.
 
         Raises:
             ValueError: shapes or values out of range.
-            RuntimeError: a light is unknown and there is no estimator.
         """
         given, images = images, self._checked(images)
         if mask is not None:
@@ -111,23 +128,20 @@ class StatisticalRelighter(nn.Module):
                 f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
                 f" got {tuple(source_lights.shape)}"
             )
-        unknown = hypotheses.isnan().any(-1).any(1)  # (B, K)
+        unknown = hypotheses.isnan().any(-1, keepdim=True)  # (B, M, K, 1)
         if unknown.any():
-            finder = estimator or self.estimator
-            if finder is None:
-                raise RuntimeError(
-                    "source lights: some are unknown and there is no estimator; give `source_lights` or an `estimator`"
-                )
             if draws < 1:
                 raise ValueError(f"draws: expected at least 1, got {draws}")
-            drawn = finder.sample(images, draws, generator, mask=mask)
-            hypotheses = torch.where(
-                unknown[:, None, :, None], drawn, hypotheses[:, :1] if hypotheses.shape[1] != draws else hypotheses
-            )
+            each = -(-draws // hypotheses.shape[1])  # every set meets as many draws, which are an even sample by blocks
+            finder = estimator or self.estimator or self._own_estimator()
+            drawn = finder.sample(images, each * hypotheses.shape[1], generator, mask=mask)
+            known, unknown = (part.repeat_interleave(each, 1) for part in (hypotheses, unknown))
+            hypotheses = torch.where(unknown, drawn, known)
+        noise = self._input_noise(images, scale)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
             found = [
-                self._registration(person, tried.mean(0), None if mask is None else mask[index])
+                self._registration(person, tried.mean(0), None if mask is None else mask[index], noise[index])
                 for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
             ]
             images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
@@ -138,22 +152,42 @@ class StatisticalRelighter(nn.Module):
             )
             deformations = torch.stack(found)
         people = [
-            PersonPosterior(self.statistics, person, tried, self.covariance, None if mask is None else mask[index])
+            PersonPosterior(
+                self.statistics, person, tried, self.covariance, None if mask is None else mask[index], noise[index]
+            )
             for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
         ]
         return Posterior(people, self.statistics.size, deformations, given.dtype)
 
-    def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None) -> Tensor:
+    def _own_estimator(self) -> LikelihoodIlluminationEstimator:
+        """The likelihood of the statistics, made once; anew where they have moved to another device or dtype."""
+        kept, here = self._likelihood, self.statistics.n_mean
+        if not kept or (kept[0].mean.device, kept[0].mean.dtype) != (here.device, here.dtype):
+            kept[:] = [LikelihoodIlluminationEstimator(self.statistics).to(here)]
+        return kept[0]
+
+    def _input_noise(self, images: Tensor, scale: Tensor | None) -> Tensor:
+        """Standard deviation of the noise of ``images (B, K, H, W)``, radiance, ``(B, K, 1)`` or ``(B, K, P)``."""
+        if scale is None:
+            return images.new_full((*images.shape[:2], 1), self.noise / 255, dtype=torch.float64)
+        if tuple(scale.shape) not in (tuple(images.shape[:2]), tuple(images.shape)) or not (scale >= 0).all():
+            raise ValueError(
+                f"scale: expected factors of 0 or more, {tuple(images.shape[:2])} or {tuple(images.shape)},"
+                f" got {tuple(scale.shape)}; give what each image was multiplied by"
+            )
+        return self.noise / 255 * scale.to(images.device).double().reshape(*images.shape[:2], -1)
+
+    def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None, noise: Tensor) -> Tensor:
         """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""
         seen = lights.square().sum(-1) > 0
         if not seen.any():
             return images.new_zeros(6)
-        images, lights = images[seen], unit_lights(lights[seen])
+        images, lights, noise = images[seen], unit_lights(lights[seen]), noise[seen]
         size = self.statistics.size
         theta = find_deformation(images, prior_mean(self.statistics, lights).unflatten(-1, size), weight=mask)
         if self.covariance == "pixel":
             return theta
-        person = PersonPosterior(self.statistics, deform(images, theta), lights[None], "face", mask)
+        person = PersonPosterior(self.statistics, deform(images, theta), lights[None], "face", mask, noise)
         return find_deformation(images, person.explained().unflatten(-1, size), theta, mask)
 
     def forward(
@@ -201,8 +235,10 @@ class StatisticalRelighter(nn.Module):
             lights = lights.expand(count, -1, -1)
         lights = check_shape(lights, "source lights", "B K 3", (count, inputs, 3)).to(images)
         people = [
-            MaximumLikelihood(self.statistics, person, known).relight(wanted)
-            for person, known, wanted in zip(images, lights, targets, strict=True)
+            MaximumLikelihood(self.statistics, person, known, noise).relight(wanted)
+            for person, known, noise, wanted in zip(
+                images, lights, self._input_noise(images, None), targets, strict=True
+            )
         ]
         if not people:
             empty = images.new_zeros(0, targets.shape[1], *images.shape[2:])
@@ -238,9 +274,11 @@ class StatisticalRelighter(nn.Module):
         self.statistics.save(folder / "statistics.safetensors", compress)
 
     @classmethod
-    def from_pretrained(cls, folder: str | Path, covariance: Covariance | None = None) -> StatisticalRelighter:
+    def from_pretrained(
+        cls, folder: str | Path, covariance: Covariance | None = None, noise: float = 1.0
+    ) -> StatisticalRelighter:
         """Read what :meth:`save_pretrained` wrote; ``covariance`` defaults to "face" where the statistics have
-        loadings."""
+        loadings; ``noise`` as in the constructor."""
         from safetensors import SafetensorError, safe_open
         from safetensors.torch import load_file
 
@@ -259,4 +297,4 @@ class StatisticalRelighter(nn.Module):
                 raise ValueError(
                     f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
                 ) from error
-        return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator)
+        return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator, noise)

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.geometry.lights import angular_distance, even_hemisphere, nearest_lights
-from facerelight.light.estimator import LightEstimator
+from facerelight.light.estimator import LightEstimator, shared_errors
 from facerelight.model.covariance import image_covariance, light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.luminance import BLACK
+from facerelight.numerics.sampling import quasi_normal
 
 __all__ = ["LikelihoodIlluminationEstimator"]
 
@@ -173,18 +174,18 @@ class GridBelief(NamedTuple):
     cell: float
 
     def draw(self, count: int, generator: torch.Generator | None, independent: bool) -> Tensor:
-        """See :meth:`LightBelief.draw`: spread over the grid's cells, by default one point a ``1 / count`` of the
-        probability."""
-        images = len(self.probability)
-        generator = generator or torch.Generator().manual_seed(0)
-        points = torch.rand(images, count, generator=generator, dtype=torch.float64)
-        if images and not independent:  # stratified, in an order of its own for each input
-            order = torch.stack([torch.randperm(count, generator=generator) for _ in range(images)])
-            points = (order + points) / count
-        points = points.to(self.probability.device)
-        chosen = torch.searchsorted(self.probability.cumsum(1), points).clamp_max(len(self.grid) - 1)  # (B K, count)
-        noise = self.cell * torch.randn(images, count, 3, generator=generator)
-        drawn = self.grid[chosen] + noise.to(self.grid)  # (B K, count, 3)
+        """See :meth:`LightBelief.draw`: spread over the grid's cells, by default about one point a ``1 / count`` of the
+        probability.
+
+        One person's inputs are tied together as :func:`~facerelight.light.estimator.shared_errors` says: their places
+        in the cells, and in the probability.
+        """
+        inputs = self.direction.shape[1]
+        points = quasi_normal(count, 4 * inputs, generator, independent).reshape(count, inputs, 4).to(self.direction)
+        points = torch.einsum("bjk,mkc->bjmc", shared_errors(self.direction), points).flatten(0, 1)  # (B K, count, 4)
+        level = torch.special.ndtr(points[..., 0].double()).contiguous()
+        chosen = torch.searchsorted(self.probability.cumsum(1), level).clamp_max(len(self.grid) - 1)  # (B K, count)
+        drawn = self.grid[chosen] + self.cell * points[..., 1:].to(self.grid)  # (B K, count, 3)
         return drawn.unflatten(0, self.direction.shape[:2]).transpose(1, 2)
 
 

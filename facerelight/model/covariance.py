@@ -110,14 +110,20 @@ def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: Ligh
     return normal + deviation_covariance(statistics, pixel, a, b)
 
 
-def observed(covariance: Tensor) -> Tensor:
-    """Covariance ``(P, K, K)`` of what a camera records: a relative variance of 1e-8 of its own at every observation.
+def observed(covariance: Tensor, noise: Tensor | float = 0.0) -> Tensor:
+    """Covariance ``(P, K, K)`` of what a camera records: ``noise`` squared, and a relative variance of 1e-8, at every
+    observation.
 
-    That is far below a grey level, so inputs are still returned exactly; but two lights nearer than about 1e-4 rad
-    count as one, where otherwise the rounding of the images would be blown up without bound.
+    The relative part is far below a grey level: without noise inputs are returned exactly, and two lights nearer than
+    about 1e-4 rad count as one, where otherwise the rounding of the arithmetic would be blown up without bound.
+
+    Args:
+        covariance: of noiseless intensities, ``(P, K, K)``.
+        noise: standard deviation of each observation in units of the intensities, broadcast to ``(P, K)``.
     """
-    own = torch.diag_embed(MEASUREMENT * covariance.diagonal(dim1=-2, dim2=-1))
-    return covariance + own
+    own = covariance.diagonal(dim1=-2, dim2=-1)  # (P, K)
+    squared = torch.as_tensor(noise, dtype=covariance.dtype, device=covariance.device).square()
+    return covariance + torch.diag_embed((MEASUREMENT * own + squared).expand_as(own))
 
 
 def loadings_at(face: FaceLoadings, terms: LightTerms) -> Tensor:

@@ -210,12 +210,12 @@ def low_rank_code(
 
     Args:
         design: A, ``(P, K, k)``, float64.
-        observed: y, ``(P, K, 1)``.
+        observed: y, ``(P, K, M)``, M sets of observations.
         temper: how many pixels count as one independent observation.
         weight: ``(P,)``, how much each pixel counts; None: all alike.
 
     Returns:
-        The mean ``(k, 1)`` and an upper triangular factor ``(k, k)`` of the covariance, ``F F^T``.
+        The means ``(k, M)`` and an upper triangular factor ``(k, k)`` of the covariance, ``F F^T``.
     """
     if weight is not None:
         design, observed = design * weight[:, None, None].sqrt(), observed * weight[:, None, None].sqrt()
