@@ -475,9 +475,8 @@ def semidefinite(w: World) -> None:
         values = torch.linalg.eigvalsh(make(statistics, pixel, terms, terms))
         assert (values[:, 0] > -1e-12 * values[:, -1]).all()
     own = deviation_covariance(statistics, pixel, terms, terms).diagonal(dim1=1, dim2=2).T
-    assert torch.allclose(
-        own, terms.std.double().square() + terms.lost.double().square(), rtol=1e-4
-    )  # the correlation's diagonal is 1
+    variance = statistics.weights(lights) @ pixel.v_std.flatten(1).square() + terms.lost[:, 0].square()
+    assert torch.allclose(own, variance.double(), rtol=1e-4)  # the correlation's diagonal is 1
 
 
 # ---- recognition

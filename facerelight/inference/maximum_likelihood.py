@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.geometry.sums import LightSum
 from facerelight.inference.posterior import Relit
 from facerelight.model.brightness import read_gain
-from facerelight.model.covariance import deviation_covariance, light_terms, observed
+from facerelight.model.covariance import deviation_covariance, gain_noise, light_terms, observed
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 
@@ -24,7 +25,7 @@ class MaximumLikelihood:
     Args:
         statistics: only the deviation's are used: n has no prior here.
         images: ``(K, H, W)`` of one person, K >= 3.
-        lights: ``(K, 3)`` of rank 3.
+        lights: ``(K, 3)``, or sums with amounts ``(K, n)``, of rank 3.
         noise: standard deviation of the images' noise in radiance, ``(K, 1)`` or ``(K, P)``; None: none, and the images
             are returned exactly.
         mask: ``(H, W)``, 0 where the images do not show the face and so say nothing about its brightness.
@@ -37,26 +38,27 @@ class MaximumLikelihood:
         self,
         statistics: FaceStatistics,
         images: Tensor,
-        lights: Tensor,
+        lights: Tensor | LightSum,
         noise: Tensor | None = None,
         mask: Tensor | None = None,
     ) -> None:
         assert statistics.pixel is not None
         self.statistics = statistics
-        self.lights = unit_lights(lights)
-        singular = torch.linalg.svdvals(self.lights.double())
-        condition = float(singular[0] / singular[-1]) if len(lights) >= 3 and singular[-1] > 0 else float("inf")
+        self.terms = light_terms(statistics, statistics.pixel, _lights(lights))
+        self.lights = self.terms.light
+        singular = torch.linalg.svdvals(torch.nn.functional.normalize(self.lights.double(), dim=1))
+        condition = float(singular[0] / singular[-1]) if len(self.lights) >= 3 and singular[-1] > 0 else float("inf")
         if condition > LARGEST_CONDITION:
             raise ValueError(
                 "method='mle': expected at least 3 input images under lights that do not lie in one plane, "
-                f"got {len(lights)} with condition number {condition:.3g}; give more lights or use method='expected'"
+                f"got {len(self.lights)} with condition number {condition:.3g};"
+                " give more lights or use method='expected'"
             )
-        self.terms = light_terms(statistics, statistics.pixel, self.lights)
         covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)
         pixels = images.flatten(1)  # (K, P)
-        sigma = images.new_zeros(len(lights), 1, dtype=torch.float64) if noise is None else noise.double()
+        sigma = images.new_zeros(len(images), 1, dtype=torch.float64) if noise is None else noise.double()
         self.noise_variance = sigma.square().mean(0)  # of a new image, (1,) or (P,)
-        trusted = self.terms.weights @ statistics.gain_noise
+        trusted = gain_noise(statistics, self.terms)
         weight = None if mask is None else mask.flatten()
         self.gain = read_gain(pixels, self.terms.mean, float(statistics.gain_spread), trusted, weight)
         self.factor = gaussian.safe_cholesky(observed(covariance, sigma.T / self.gain.value))
@@ -70,35 +72,38 @@ class MaximumLikelihood:
         self.normal = torch.cholesky_solve(self._design.mT @ white, self._precision)  # n_MLE, (P, 3, 2)
         self._left = white - self._design @ self.normal
 
-    def render(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance ``(P,)`` under one light ``(3,)``, noise and what is not known of the gain counted.
+    def render(self, target: Tensor | LightSum) -> tuple[Tensor, Tensor]:
+        """Mean and variance ``(P,)`` under one light, ``(3,)`` or amounts ``(n,)``, noise and what is not known of the
+        gain counted.
 
         The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
         input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
         """
         statistics, pixel = self.statistics, self.statistics.pixel
         assert pixel is not None
-        target = unit_lights(target)[None]
-        terms = light_terms(statistics, pixel, target)
+        terms = light_terms(statistics, pixel, _lights(target).insert(0))
         shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
         cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r
         average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]
-        mean = target.double() @ self.normal + average[:, None, None] + cross.mT @ self._left  # (P, 1, 2)
+        mean = terms.light.double() @ self.normal + average[:, None, None] + cross.mT @ self._left  # (P, 1, 2)
         mean, black = mean[:, 0].unbind(1)
-        missing = target[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
+        missing = terms.light[0].double()[:, None] - self._design.mT @ cross  # d, (P, 3, 1)
         of_normal = gaussian.solve_lower(self._precision, missing).square().sum((1, 2))
         own = deviation_covariance(statistics, pixel, terms, terms)[:, 0, 0]
         variance = of_normal + gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
         gain, spread = self.gain  # the mean under gain g is g black + (what is linear in the images)
         return gain * mean, gain**2 * (variance + spread**2 * black.square()) + self.noise_variance
 
-    def relight(self, targets: Tensor) -> Relit:
-        """Mean, never negative, and variance ``(Q, H, W)`` under ``targets (Q, 3)``, in the statistics' dtype."""
-        if not len(targets):
+    def relight(self, targets: Tensor | LightSum) -> Relit:
+        """Mean, never negative, and variance ``(Q, H, W)`` under ``targets``, ``(Q, 3)`` or sums with amounts
+        ``(Q, n)``, in the statistics' dtype."""
+        lights = _lights(targets)
+        if not len(lights.amounts):
             empty = self.lights.new_zeros(0, *self.statistics.size)
             return Relit(empty, empty)
         mean, variance = (
-            torch.stack(parts) for parts in zip(*(self.render(target) for target in targets), strict=True)
+            torch.stack(parts)
+            for parts in zip(*(self.render(lights[q]) for q in range(len(lights.amounts))), strict=True)
         )
         size = self.statistics.size
         return Relit(mean.clamp_min(0).unflatten(1, size).to(self.lights), variance.unflatten(1, size).to(self.lights))
@@ -107,3 +112,7 @@ class MaximumLikelihood:
         """``Var[n_MLE] = (S Sigma_v^-1 S^T)^-1`` of every pixel, ``(P, 3, 3)``."""
         eye = torch.eye(3, dtype=torch.float64, device=self._precision.device).expand_as(self._precision)
         return torch.cholesky_solve(eye, self._precision)
+
+
+def _lights(lights: Tensor | LightSum) -> LightSum:
+    return LightSum.single(unit_lights(lights)) if isinstance(lights, Tensor) else lights

@@ -12,14 +12,20 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.geometry.sums import LightSum
 from facerelight.model.brightness import Gain, read_gain
 from facerelight.model.covariance import (
+    DirectionTerms,
     LightTerms,
+    direction_terms,
+    gain_noise,
     image_covariance,
     light_terms,
     loadings_at,
     narrow_terms,
     observed,
+    same_light,
+    summed_terms,
 )
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
@@ -58,7 +64,8 @@ class PersonPosterior:
     Args:
         statistics: what the bootstrap taught.
         images: ``(K, H, W)``.
-        hypotheses: ``(M, K, 3)`` input lights; a zero light takes its image out of the evidence.
+        hypotheses: input lights, ``(M, K, 3)`` or sums with amounts ``(M, K, n)``; a light of zero takes its image out
+            of the evidence.
         covariance: "pixel" or "face".
         mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face
             code.
@@ -70,7 +77,7 @@ class PersonPosterior:
         self,
         statistics: FaceStatistics,
         images: Tensor,
-        hypotheses: Tensor,
+        hypotheses: Tensor | LightSum,
         covariance: str,
         mask: Tensor | None = None,
         noise: Tensor | None = None,
@@ -91,20 +98,28 @@ class PersonPosterior:
         self.codes: list[tuple[Tensor, Tensor]] = []
         self.evidence: list[_Evidence] = []
         self._left: Tensor | None = None
-        seen = hypotheses.square().sum(-1) > 0
-        for lights, kept in zip(hypotheses, seen, strict=True):
+        lights = LightSum.single(hypotheses) if isinstance(hypotheses, Tensor) else hypotheses
+        seen = lights.amounts.sum(-1) > 0  # (M, K)
+        shared = direction_terms(statistics, pixel, lights.directions, self.face) if lights.shared else None
+        for index, kept in enumerate(seen):
             if kept.any():
-                self._add(pixels[kept], unit_lights(lights[kept]), sigma[kept], 1 / len(hypotheses))
-        self.prior_share = 1 - len(self.evidence) / len(hypotheses)
+                self._add(pixels[kept], self._terms(lights[index][kept], shared), sigma[kept], 1 / len(seen))
+        self.prior_share = 1 - len(self.evidence) / len(seen)
         self.n_map += self.prior_share * statistics.n_mean.flatten(1)
         self.v_map += self.prior_share * statistics.v_mean.flatten(1)
 
-    def _add(self, images: Tensor, lights: Tensor, noise: Tensor, of_all: float) -> None:
+    def _terms(self, lights: LightSum, shared: DirectionTerms | None) -> LightTerms:
+        """Of the input ``lights``, amounts ``(K, n)``; ``shared``: of directions that all hypotheses have."""
+        if shared is not None:
+            return summed_terms(shared, lights.amounts)
+        lights = LightSum(unit_lights(lights.directions), lights.amounts)
+        return light_terms(self.statistics, self.pixel, lights, self.face)
+
+    def _add(self, images: Tensor, terms: LightTerms, noise: Tensor, of_all: float) -> None:
         statistics, pixel = self.statistics, self.pixel
-        terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
         known = read_gain(
-            images, terms.mean, float(statistics.gain_spread), terms.weights @ statistics.gain_noise, self.visible
+            images, terms.mean, float(statistics.gain_spread), gain_noise(statistics, terms), self.visible
         )
         gain = known.value
         cholesky = gaussian.safe_cholesky(observed(covariance, noise.T / gain))  # (P, K, K)
@@ -127,13 +142,14 @@ class PersonPosterior:
         self.v_map += share * statistics.v_mean.flatten(1)
         # n_MAP and the pull of the bootstrap lights, averaged over the hypotheses
         root = pixel.n_factor.flatten(2)  # (3, 3, P)
-        facing = (lights.double().T @ solved).to(images)  # S g, (3, P)
+        facing = (terms.light.double().T @ solved).to(images)  # S g, (3, P)
         self.n_map += share * torch.einsum("dcp,ecp,ep->dp", root, root, facing)
         learned = pixel.v_factor.flatten(2)  # (J, r, P)
         unique = self._unique()
         shared = (terms.factor * solved[:, None]).sum(0).to(images)  # (r, P)
-        own = (terms.weights.double().T @ (terms.std * solved)).to(images)  # (J, P)
-        self.pull += share * ((learned * shared).sum(1) + unique * own)
+        own = (terms.own * solved[:, None]).sum(0).to(images)  # (J', P)
+        self.pull += share * (learned * shared).sum(1)
+        self.pull.index_add_(0, terms.used, share * unique[terms.used] * own)
 
     def _unique(self) -> Tensor:
         """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``;
@@ -158,9 +174,18 @@ class PersonPosterior:
             image = image + self.codes[0][0][:, 0].to(image) @ loadings_at(self.face, evidence.terms)
         return image
 
-    def mean(self, targets: Tensor) -> Tensor:
-        """Conditional mean under ``targets (Q, 3)``, ``(Q, P)``: four matrix products, and a narrow term near the input
-        lights.
+    def mean(self, targets: Tensor | LightSum) -> Tensor:
+        """Conditional mean under ``targets``, directions ``(Q, 3)`` or sums with amounts ``(Q, n)``, ``(Q, P)``: light
+        adds up, and so does the mean."""
+        if isinstance(targets, Tensor):
+            return self._mean(targets)
+        if targets.shared:
+            return targets.amounts @ self._mean(targets.directions)
+        rows = zip(targets.directions, targets.amounts, strict=True)
+        return torch.stack([amounts @ self._mean(directions) for directions, amounts in rows])
+
+    def _mean(self, targets: Tensor) -> Tensor:
+        """Under directions ``(Q, 3)``: four matrix products, and a narrow term near the input lights.
 
         By blocks of pixels: what a block needs stays in the cache, which makes this as fast as the bare products.
         """
@@ -195,9 +220,9 @@ class PersonPosterior:
         return image
 
     def _near(self, targets: Tensor, evidence: _Evidence) -> tuple[Tensor, Tensor]:
-        """Which targets lie near the input lights, and their kernel values ``(Q', K)`` float64 times this hypothesis's
-        share."""
-        kernel = self.statistics.nugget(targets, evidence.terms.light)  # (Q, K)
+        """Which targets lie near the input lights, and their kernel values ``(Q', K n)`` float64 times this
+        hypothesis's share."""
+        kernel = self.statistics.nugget(targets, evidence.terms.directions.flatten(0, 1))  # (Q, K n)
         rows = (kernel.amax(1) > NEAR).nonzero()[:, 0]
         return rows, kernel[rows].double() * (evidence.gain.value * (1 - self.prior_share) / len(self.evidence))
 
@@ -206,46 +231,49 @@ class PersonPosterior:
         variance."""
         terms = evidence.terms
         narrow, lost = narrow_terms(self.pixel, weights, self.face, pixels)  # (Q', P') each
-        term = narrow * (kernel @ (terms.narrow * evidence.solved)[:, pixels])
+        solved = evidence.solved[:, None, pixels]  # (K, 1, P')
+        term = narrow * (kernel @ (terms.narrow[..., pixels] * solved).flatten(0, 1))
         if self.face is not None:
-            term += lost * (kernel @ (terms.lost * evidence.solved)[:, pixels])
+            term += lost * (kernel @ (terms.lost[..., pixels] * solved).flatten(0, 1))
         return term.to(self.n_map)
 
-    def variance(self, targets: Tensor) -> Tensor:
-        """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of
-        their means."""
+    def variance(self, targets: Tensor | LightSum) -> Tensor:
+        """Variance under ``targets``, as for :meth:`mean`, ``(Q, P)``: the mean of the hypotheses' variances plus the
+        variance of their means."""
         rows = []
-        for target in targets:
+        for target in _one_by_one(targets):
             mean, variance, weight = self.components(target)
             between = weight @ (mean - weight @ mean).square() if len(weight) > 1 else 0
-            rows.append((weight @ variance + between).to(target))
+            rows.append((weight @ variance + between).to(target.amounts))
         return torch.stack(rows)
 
-    def mode(self, targets: Tensor) -> Tensor:
-        """The most probable grey level under ``targets (Q, 3)`` (Algorithm 1, evaluated exactly), ``(Q, P)``; one
-        hypothesis: the mean."""
+    def mode(self, targets: Tensor | LightSum) -> Tensor:
+        """The most probable grey level under ``targets``, as for :meth:`mean` (Algorithm 1, evaluated exactly),
+        ``(Q, P)``; one hypothesis: the mean."""
         if len(self.evidence) + (self.prior_share > 0) == 1:
             return self.mean(targets)
-        return torch.stack([mixture_mode(*self.components(target)).to(target) for target in targets])
+        return torch.stack([mixture_mode(*self.components(t)).to(t.amounts) for t in _one_by_one(targets)])
 
-    def components(self, target: Tensor) -> Components:
-        """The mixture of Gaussians that a pixel under ``target (3,)`` follows: one component a light hypothesis (3.6).
+    def components(self, target: Tensor | LightSum) -> Components:
+        """The mixture of Gaussians that a pixel under ``target``, ``(3,)`` or amounts ``(n,)``, follows: one component
+        a light hypothesis (3.6).
 
         Its variances count noise and what is not known of the gain, and are never above the prior's. Behind the face,
         where nothing was learned, they are never below those at the edge.
         """
-        found = self._components(target)
-        if target[2] >= 0:
+        light = (LightSum.single(target) if isinstance(target, Tensor) else target).insert(0)
+        terms = light_terms(self.statistics, self.pixel, light, self.face)
+        found = self._components(terms)
+        if not (light.amounts * light.directions[..., 2] < 0).any():
             return found
-        new = 1 - self._meeting(target)  # (M,)
+        new = 1 - self._meeting(terms)  # (M,)
         variance = found.variance
-        for edge, share in _edges(target):
-            variance = torch.maximum(variance, share * new[:, None] * self._components(edge).variance)
+        for edge in _edges(light):
+            at_edge = light_terms(self.statistics, self.pixel, edge, self.face)
+            variance = torch.maximum(variance, new[:, None] * self._components(at_edge).variance)
         return found._replace(variance=variance)
 
-    def _components(self, target: Tensor) -> Components:
-        target = target[None]
-        terms = light_terms(self.statistics, self.pixel, target, self.face)
+    def _components(self, terms: LightTerms) -> Components:
         local = image_covariance(self.statistics, self.pixel, terms, terms)[:, 0, 0]  # (P,)
         average = terms.mean[0].double()  # (P,)
         outputs = None if self.face is None else loadings_at(self.face, terms).double()[0].T  # (P, k)
@@ -278,21 +306,33 @@ class PersonPosterior:
             torch.stack(means), torch.stack(variances), torch.tensor(weight, dtype=prior.dtype).to(prior.device)
         )
 
-    def _meeting(self, target: Tensor) -> Tensor:
-        """How nearly ``target (3,)`` is an input light, component by component, 0 to 1, ``(M,)``."""
-        meeting = target.new_zeros(len(self.evidence) + (self.prior_share > 0), dtype=torch.float64)
+    def _meeting(self, target: LightTerms) -> Tensor:
+        """How nearly the light ``target`` is an input light, component by component, 0 to 1, ``(M,)``."""
+        meeting = target.light.new_zeros(len(self.evidence) + (self.prior_share > 0), dtype=torch.float64)
         for index, evidence in enumerate(self.evidence):
-            meeting[index] = self.statistics.nugget(target[None], evidence.terms.light).amax()
+            meeting[index] = same_light(self.statistics, target, evidence.terms).amax()
         return meeting
 
 
-def _edges(target: Tensor) -> list[tuple[Tensor, float]]:
-    """Lights of the image plane about a ``target (3,)`` behind it, and how much each counts: the nearest fully, the
-    others the more, the nearer the target is to the axis, where all are alike."""
-    away = torch.nn.functional.pad(target[:2], (0, 1))
-    if float(away.norm()) < 1e-6:
-        away = target.new_tensor((1.0, 0.0, 0.0))
-    away = away / away.norm()
-    side = torch.stack((-away[1], away[0], away[2]))
-    depth = float(-target[2])
-    return [(away, 1.0), (-away, depth), (side, depth), (-side, depth)]
+def _one_by_one(targets: Tensor | LightSum) -> list[LightSum]:
+    """Each of the targets, amounts ``(n,)``."""
+    lights = LightSum.single(targets) if isinstance(targets, Tensor) else targets
+    return [lights[index] for index in range(len(lights.amounts))]
+
+
+def _edges(light: LightSum) -> list[LightSum]:
+    """A ``light`` with amounts ``(1, n)``, what of it is behind the face brought to the image plane: to the nearest
+    side fully, to the others the more, the nearer it is to the axis, where all are alike."""
+    behind = light.directions[..., 2] < 0
+    away = torch.nn.functional.pad(light.directions[..., :2], (0, 1))
+    length = away.norm(dim=-1, keepdim=True)
+    away = torch.where(length < 1e-6, away.new_tensor((1.0, 0.0, 0.0)), away / length.clamp_min(1e-6))
+    side = torch.stack((-away[..., 1], away[..., 0], away[..., 2]), -1)
+    depth = light.directions[..., 2].neg().clamp_min(0).sqrt()
+    edges = ((away, torch.ones_like(depth)), (-away, depth), (side, depth), (-side, depth))
+    return [
+        LightSum(
+            torch.where(behind[..., None], edge, light.directions), torch.where(behind, share, 1.0) * light.amounts
+        )
+        for edge, share in edges
+    ]

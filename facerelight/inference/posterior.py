@@ -9,10 +9,15 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.geometry.sources import LightMixture
+from facerelight.geometry.sums import LightSum, check_light_sum
 from facerelight.inference.person import PersonPosterior
 from facerelight.model.registration import undeform
 
-__all__ = ["Posterior", "Relit", "check_shape_of_lights"]
+__all__ = ["Lights", "Posterior", "Relit", "check_targets"]
+
+Lights = Tensor | LightSum | LightMixture
+"""Directions ``(..., 3)``, sums of directions with amounts ``(..., n)``, or one scene's light."""
 
 
 class Relit(NamedTuple):
@@ -45,25 +50,26 @@ class Posterior:
         self.dtype = dtype
         self.deformations = deformations
 
-    def mean(self, target_lights: Tensor) -> Tensor:
-        """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` is ``(Q, 3)`` or
-        ``(B, Q, 3)``.
+    def mean(self, target_lights: Lights) -> Tensor:
+        """Relit images, the conditional mean (3.17), ``(B, Q, H, W)``; ``target_lights`` are directions ``(Q, 3)`` or
+        ``(B, Q, 3)``, sums of directions with amounts ``(Q, n)`` or ``(B, Q, n)``, or a scene's light, Q = 1.
 
-        Gaussians know no black: what they put below zero, as behind the face, is rendered as 0.
+        Light adds up: the mean under a sum is the sum of the means. Gaussians know no black: what they put below zero,
+        as behind the face, is rendered as 0, once all is summed.
         """
         return self._render("mean", target_lights)
 
-    def mode(self, target_lights: Tensor) -> Tensor:
+    def mode(self, target_lights: Lights) -> Tensor:
         """The most probable image (Algorithm 1) instead of the expected one, ``(B, Q, H, W)``; the same where the
         lights are known."""
         return self._render("mode", target_lights)
 
-    def variance(self, target_lights: Tensor) -> Tensor:
+    def variance(self, target_lights: Lights) -> Tensor:
         """The variance of every relit pixel (3.17), ``(B, Q, H, W)``: of the person, the gain, the light where it was
         estimated (Algorithm 2), and noise."""
         return self._render("variance", target_lights)
 
-    def render(self, target_lights: Tensor) -> Relit:
+    def render(self, target_lights: Lights) -> Relit:
         """Mean and variance under ``target_lights``."""
         return Relit(self.mean(target_lights), self.variance(target_lights))
 
@@ -79,13 +85,15 @@ class Posterior:
             [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
         )
 
-    def _render(self, what: str, target_lights: Tensor) -> Tensor:
-        targets = check_shape_of_lights(target_lights, len(self.people))
-        targets = unit_lights(targets.to(self.people[0].n_map) if self.people else targets)
-        if not targets.shape[0] or not targets.shape[1]:
-            return targets.new_zeros(*targets.shape[:2], *self.size, dtype=self.dtype)
+    def _render(self, what: str, target_lights: Lights) -> Tensor:
+        targets = check_targets(target_lights, len(self.people))
+        if self.people:
+            targets = targets.to(self.people[0].n_map)
+        count = targets.amounts.shape[1]
+        if not self.people or not count:
+            return targets.amounts.new_zeros(len(self.people), count, *self.size, dtype=self.dtype)
         images = torch.stack(
-            [getattr(person, what)(lights) for person, lights in zip(self.people, targets, strict=True)]
+            [getattr(person, what)(_plain(targets[index])) for index, person in enumerate(self.people)]
         )
         images = images.unflatten(-1, self.size).to(self.dtype or images.dtype)
         if self.deformations is not None:
@@ -93,11 +101,31 @@ class Posterior:
         return images.clamp_min(0)
 
 
-def check_shape_of_lights(target_lights: Tensor, people: int) -> Tensor:
-    """``(Q, 3)`` or ``(people, Q, 3)``, each person's own; always the latter comes back. Else a ``ValueError``."""
+def check_targets(target_lights: Lights, people: int) -> LightSum:
+    """Lights of the same Q for everybody, or each person's own; always amounts ``(people, Q, n)`` come back.
+
+    Raises:
+        ValueError: shapes that do not fit, directions or amounts that are none.
+    """
+    if isinstance(target_lights, LightSum | LightMixture):
+        lights = LightSum.of(target_lights) if isinstance(target_lights, LightMixture) else target_lights
+        lights = check_light_sum(lights, "target lights")
+        dimensions = lights.amounts.dim()
+        if dimensions not in (2, 3) or (dimensions == 3 and len(lights.amounts) != people):
+            raise ValueError(
+                f"target lights: expected amounts (Q, n) or ({people}, Q, n), got {tuple(lights.amounts.shape)}"
+            )
+        return lights if dimensions == 3 else lights.insert(0).expand(people, -1)
     if not isinstance(target_lights, Tensor):
         raise ValueError(f"target lights: expected a tensor, got {type(target_lights).__name__}; try torch.as_tensor")
     shape = tuple(target_lights.shape)
     if shape[-1:] != (3,) or len(shape) not in (2, 3) or (len(shape) == 3 and shape[0] != people):
         raise ValueError(f"target lights: expected (Q, 3) or ({people}, Q, 3), got {shape}")
-    return target_lights if len(shape) == 3 else target_lights.expand(people, -1, -1)
+    lights = LightSum.single(unit_lights(target_lights))
+    return lights if len(shape) == 3 else lights.insert(0).expand(people, -1)
+
+
+def _plain(lights: LightSum) -> Tensor | LightSum:
+    """Single lights at full strength as directions ``(Q, 3)``, which is faster."""
+    single = not lights.shared and lights.amounts.shape[-1] == 1 and bool((lights.amounts == 1).all())
+    return lights.directions[:, 0] if single else lights

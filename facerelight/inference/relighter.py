@@ -10,10 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.geometry.sources import LightMixture
+from facerelight.geometry.sums import LightSum, check_light_sum
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.person import PersonPosterior
-from facerelight.inference.posterior import Posterior, Relit, check_shape_of_lights
+from facerelight.inference.posterior import Lights, Posterior, Relit, check_targets
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -78,7 +80,7 @@ class StatisticalRelighter(nn.Module):
     def condition(
         self,
         images: Tensor,
-        source_lights: Tensor | None = None,
+        source_lights: Lights | None = None,
         estimator: LightEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
@@ -92,8 +94,9 @@ class StatisticalRelighter(nn.Module):
             images: ``(B, K, H, W)`` linear radiance; K images of each of B persons, canonical crops of the statistics'
                 size.
             source_lights: ``(K, 3)`` or ``(B, K, 3)`` unit vectors; rows of NaN mark unknown lights; a zero light takes
-                its image out of the evidence. ``(B, M, K, 3)``: M equally likely sets of them. None: all are unknown,
-                and are estimated and integrated over.
+                its image out of the evidence. ``(B, M, K, 3)``: M equally likely sets of them. Sums of directions, with
+                amounts ``(K, n)``, ``(B, K, n)`` or ``(B, M, K, n)``, or a scene's light where K = 1. None: all are
+                unknown, and are estimated and integrated over.
             estimator: finds unknown lights; default: the module's own.
             draws: samples of each unknown light (Algorithm 2); with M sets of lights that are partly unknown, as many
                 more as make it a multiple of M, and each set meets equally many.
@@ -111,38 +114,13 @@ class StatisticalRelighter(nn.Module):
         given, images = images, self._checked(images)
         if mask is not None:
             mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
-        if source_lights is None:
-            source_lights = torch.full((*images.shape[:2], 3), float("nan"))
-        elif not isinstance(source_lights, Tensor) or source_lights.dim() < 2:
-            raise ValueError(f"source lights: expected a tensor (K, 3) or more of them, got {source_lights!r}")
-        lights = source_lights.to(images)
-        if lights.dim() == 2:
-            lights = lights.expand(len(images), -1, -1)
-        hypotheses = lights if lights.dim() == 4 else lights[:, None]
-        if (
-            hypotheses.dim() != 4
-            or not hypotheses.shape[1]
-            or (len(hypotheses), *hypotheses.shape[2:]) != (*images.shape[:2], 3)
-        ):
-            raise ValueError(
-                f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
-                f" got {tuple(source_lights.shape)}"
-            )
-        unknown = hypotheses.isnan().any(-1, keepdim=True)  # (B, M, K, 1)
-        if unknown.any():
-            if draws < 1:
-                raise ValueError(f"draws: expected at least 1, got {draws}")
-            each = -(-draws // hypotheses.shape[1])  # every set meets as many draws, which are an even sample by blocks
-            finder = estimator or self.estimator or self._own_estimator()
-            drawn = finder.sample(images, each * hypotheses.shape[1], generator, mask=mask)
-            known, unknown = (part.repeat_interleave(each, 1) for part in (hypotheses, unknown))
-            hypotheses = torch.where(unknown, drawn, known)
+        hypotheses = self._hypotheses(images, source_lights, estimator or self.estimator, draws, generator, mask)
         noise = self._input_noise(images, scale)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
             found = [
-                self._registration(person, tried.mean(0), None if mask is None else mask[index], noise[index])
-                for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
+                self._registration(person, hypotheses[index], None if mask is None else mask[index], noise[index])
+                for index, person in enumerate(images)
             ]
             images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
             mask = (
@@ -153,11 +131,57 @@ class StatisticalRelighter(nn.Module):
             deformations = torch.stack(found)
         people = [
             PersonPosterior(
-                self.statistics, person, tried, self.covariance, None if mask is None else mask[index], noise[index]
+                self.statistics,
+                person,
+                hypotheses[index],
+                self.covariance,
+                None if mask is None else mask[index],
+                noise[index],
             )
-            for index, (person, tried) in enumerate(zip(images, hypotheses, strict=True))
+            for index, person in enumerate(images)
         ]
         return Posterior(people, self.statistics.size, deformations, given.dtype)
+
+    def _hypotheses(
+        self,
+        images: Tensor,
+        given: Lights | None,
+        estimator: LightEstimator | None,
+        draws: int,
+        generator: torch.Generator | None,
+        mask: Tensor | None,
+    ) -> LightSum:
+        """Equally likely lights of ``images (B, K, H, W)``, amounts ``(B, M, K, n)``: those ``given``, and samples of
+        those that are not."""
+        count, inputs = images.shape[:2]
+        if given is None:
+            lights = torch.full((count, inputs, 3), float("nan")).to(images)
+        elif isinstance(given, LightSum | LightMixture):
+            return _known_sums(given, count, inputs).to(images)
+        elif not isinstance(given, Tensor) or given.dim() < 2:
+            raise ValueError(f"source lights: expected a tensor (K, 3) or more of them, got {given!r}")
+        else:
+            lights = given.to(images)
+        if lights.dim() == 2:
+            lights = lights.expand(count, -1, -1)
+        known = lights if lights.dim() == 4 else lights[:, None]
+        if known.dim() != 4 or not known.shape[1] or (len(known), *known.shape[2:]) != (count, inputs, 3):
+            raise ValueError(
+                f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
+                f" got {tuple(lights.shape)}"
+            )
+        unknown = known.isnan().any(-1)  # (B, M, K)
+        if not unknown.any():
+            return LightSum.single(known)
+        if draws < 1:
+            raise ValueError(f"draws: expected at least 1, got {draws}")
+        each = -(-draws // known.shape[1])  # every set meets as many draws, which are an even sample by blocks
+        finder = estimator or self._own_estimator()
+        drawn = finder.sample_sums(images, each * known.shape[1], generator, mask=mask)
+        if unknown.all():
+            return drawn
+        known, unknown = (part.repeat_interleave(each, 1) for part in (known, unknown))
+        return _filled_in(known.nan_to_num(0.0), unknown, drawn)
 
     def _own_estimator(self) -> LikelihoodIlluminationEstimator:
         """The likelihood of the statistics, made once; anew where they have moved to another device or dtype."""
@@ -177,34 +201,37 @@ class StatisticalRelighter(nn.Module):
             )
         return self.noise / 255 * scale.to(images.device).double().reshape(*images.shape[:2], -1)
 
-    def _registration(self, images: Tensor, lights: Tensor, mask: Tensor | None, noise: Tensor) -> Tensor:
-        """The deformation of one face: to the average face first, then to what the whole-face code makes of it."""
-        seen = lights.square().sum(-1) > 0
+    def _registration(self, images: Tensor, tried: LightSum, mask: Tensor | None, noise: Tensor) -> Tensor:
+        """The deformation of one face under the mean of the lights ``tried``, amounts ``(M, K, n)``: to the average
+        face first, then to what the whole-face code makes of it."""
+        light = _middle(tried)
+        seen = light.amounts.sum(-1) > 0
         if not seen.any():
             return images.new_zeros(6)
-        images, lights, noise = images[seen], unit_lights(lights[seen]), noise[seen]
+        images, light, noise = images[seen], light[seen], noise[seen]
         size = self.statistics.size
-        theta = find_deformation(images, prior_mean(self.statistics, lights).unflatten(-1, size), weight=mask)
+        theta = find_deformation(images, prior_mean(self.statistics, light).unflatten(-1, size), weight=mask)
         if self.covariance == "pixel":
             return theta
-        person = PersonPosterior(self.statistics, deform(images, theta), lights[None], "face", mask, noise)
+        person = PersonPosterior(self.statistics, deform(images, theta), light.insert(0), "face", mask, noise)
         return find_deformation(images, person.explained().unflatten(-1, size), theta, mask)
 
     def forward(
         self,
         images: Tensor,
-        target_lights: Tensor,
-        source_lights: Tensor | None = None,
+        target_lights: Lights,
+        source_lights: Lights | None = None,
         method: Method = "expected",
         estimator: LightEstimator | None = None,
         draws: int = 32,
         generator: torch.Generator | None = None,
     ) -> Relit:
-        """Relight ``images (B, K, H, W)`` to ``target_lights (Q, 3)`` or ``(B, Q, 3)``: :meth:`condition`, then render.
+        """Relight ``images (B, K, H, W)`` to ``target_lights``: :meth:`condition`, then render.
 
         Args:
             images, source_lights, estimator, draws, generator: see :meth:`condition`.
-            target_lights: unit vectors.
+            target_lights: unit vectors ``(Q, 3)`` or ``(B, Q, 3)``, sums of directions with amounts ``(Q, n)`` or
+                ``(B, Q, n)``, or a scene's light.
             method: "expected", the mean image (Algorithm 2; with known lights 3.17); "map", the most probable grey
                 levels (Algorithm 1); "mle", n fixed and unknown (3.19, 3.20), for three or more known lights that are
                 not in one plane.
@@ -223,25 +250,27 @@ class StatisticalRelighter(nn.Module):
             variance = posterior.variance(target_lights)
         return Relit(mean.to(images), variance.to(images))
 
-    def _fixed_normal(self, images: Tensor, targets: Tensor, lights: Tensor | None) -> Relit:
+    def _fixed_normal(self, images: Tensor, targets: Lights, lights: Lights | None) -> Relit:
         """The special case of 3.5.1, person by person."""
         if lights is None or (isinstance(lights, Tensor) and bool(lights.isnan().any())):
             raise ValueError(
                 "method='mle': expected all source lights to be known; give `source_lights` or use method='expected'"
             )
         count, inputs = images.shape[:2]
-        targets = check_shape_of_lights(targets, count).to(images)
-        if isinstance(lights, Tensor) and lights.dim() == 2:
-            lights = lights.expand(count, -1, -1)
-        lights = check_shape(lights, "source lights", "B K 3", (count, inputs, 3)).to(images)
+        wanted = check_targets(targets, count).to(images)
+        if isinstance(lights, Tensor):
+            lights = lights.expand(count, -1, -1) if lights.dim() == 2 else lights
+            lights = check_shape(lights, "source lights", "B K 3", (count, inputs, 3)).to(images)
+            known = LightSum.single(unit_lights(lights)).insert(1)
+        else:
+            known = _known_sums(lights, count, inputs).to(images)
+        noise = self._input_noise(images, None)
         people = [
-            MaximumLikelihood(self.statistics, person, known, noise).relight(wanted)
-            for person, known, noise, wanted in zip(
-                images, lights, self._input_noise(images, None), targets, strict=True
-            )
+            MaximumLikelihood(self.statistics, person, known[index][0], noise[index]).relight(wanted[index])
+            for index, person in enumerate(images)
         ]
         if not people:
-            empty = images.new_zeros(0, targets.shape[1], *images.shape[2:])
+            empty = images.new_zeros(0, wanted.amounts.shape[1], *images.shape[2:])
             return Relit(empty, empty)
         return Relit(torch.stack([p.mean for p in people]), torch.stack([p.variance for p in people]))
 
@@ -298,3 +327,48 @@ class StatisticalRelighter(nn.Module):
                     f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
                 ) from error
         return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator, noise)
+
+
+def _known_sums(given: LightSum | LightMixture, people: int, inputs: int) -> LightSum:
+    """Known source lights as amounts ``(people, M, inputs, n)``."""
+    lights = LightSum.of(given) if isinstance(given, LightMixture) else given
+    lights = check_light_sum(lights, "source lights")
+    shape = tuple(lights.amounts.shape[:-1])
+    if shape == (inputs,):
+        lights = lights.insert(0).expand(people, -1)
+    if len(lights.amounts.shape) == 3:
+        lights = lights.insert(1)
+    shape = tuple(lights.amounts.shape[:-1])
+    if len(shape) != 3 or (shape[0], shape[2]) != (people, inputs) or not shape[1]:
+        raise ValueError(
+            f"source lights: expected amounts (K, n), (B, K, n) or (B, M, K, n) for images ({people}, {inputs}),"
+            f" got {tuple(lights.amounts.shape)}"
+        )
+    return lights
+
+
+def _filled_in(known: Tensor, unknown: Tensor, drawn: LightSum) -> LightSum:
+    """``known (B, M, K, 3)`` single lights, with ``drawn`` ones, amounts ``(B, M, K, n)``, where they are
+    ``unknown (B, M, K)``."""
+    single = LightSum.single(known)
+    count = drawn.amounts.shape[-1]
+    amounts = torch.nn.functional.pad(single.amounts, (0, count - 1))  # of one direction, the others nothing
+    directions = drawn.directions.expand(*drawn.amounts.shape, 3)
+    return LightSum(
+        torch.where(unknown[..., None, None], directions, single.directions),
+        torch.where(unknown[..., None], drawn.amounts, amounts),
+    )
+
+
+def _middle(tried: LightSum) -> LightSum:
+    """The mean light, amounts ``(K, n)``, of equally likely ones, amounts ``(M, K, n)``; of single directions the mean
+    direction."""
+    if tried.shared:
+        return LightSum(tried.directions, tried.amounts.mean(0))
+    if tried.amounts.shape[-1] == 1:
+        mean = tried.vector.mean(0)  # (K, 3)
+        length = mean.norm(dim=-1, keepdim=True)
+        return LightSum.single(torch.where(length > 0, mean / length.clamp_min(1e-12), 0.0))
+    inputs = tried.amounts.shape[1]
+    amounts = tried.amounts.transpose(0, 1).reshape(inputs, -1) / len(tried.amounts)
+    return LightSum(tried.directions.transpose(0, 1).reshape(inputs, -1, 3), amounts)

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from facerelight.geometry.sums import LightSum
 from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_mask, check_radiance
 from facerelight.numerics.gaussian import safe_cholesky
@@ -107,6 +108,18 @@ class LightEstimator(LearnedModule):
         drawn = nn.functional.normalize(belief.draw(count, generator, independent), dim=-1)  # (B, count, K, 3)
         lit = belief.direction[:, None].square().sum(-1, keepdim=True) > 0  # (B, 1, K, 1)
         return (drawn * lit).to(images)
+
+    def sample_sums(
+        self,
+        images: Tensor,
+        count: int,
+        generator: torch.Generator | None = None,
+        independent: bool = False,
+        mask: Tensor | None = None,
+    ) -> LightSum:
+        """As :meth:`sample`, but each a sum of directions, amounts ``(B, count, K, n)``; here of one, and an image
+        without any light has amounts of zero."""
+        return LightSum.single(self.sample(images, count, generator, independent, mask))
 
     def _located(self, images: Tensor, mask: Tensor | None) -> LightBelief:
         check_radiance(images, "images", "B K H W")

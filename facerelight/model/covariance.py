@@ -12,12 +12,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from facerelight.geometry.sums import LightSum
 from facerelight.model.statistics import FaceLoadings, FaceStatistics, PixelStatistics
 from facerelight.numerics.gaussian import positive_root
 
 __all__ = [
+    "DirectionTerms",
     "LightTerms",
     "deviation_covariance",
+    "direction_terms",
+    "gain_noise",
     "image_covariance",
     "light_terms",
     "loadings_at",
@@ -25,57 +29,160 @@ __all__ = [
     "observed",
     "prior_mean",
     "reached",
+    "same_light",
+    "summed_terms",
 ]
 
 MEASUREMENT = 1e-8  # relative variance of an observation
 EVERYWHERE = slice(None)
+LOADINGS_AT_ONCE = 8
 
 
 class LightTerms(NamedTuple):
-    """What a model of A lights at P pixels is made of, gathered once.
+    """What a model of A lights at P pixels is made of, gathered once. A light is a sum of n directions, or one.
 
-    ``light (A, 3)``; ``weights (A, J)``; ``mean (A, P)``, the average face; ``std (A, P)``; ``factor (A, r, P)``, the
-    interpolated correlation factor times std; ``narrow (A, P)``, the part of std that only nearby lights share;
-    ``lost (A, P)``, std of the loadings lost to interpolation.
+    Sums over a light's directions, times their amounts: ``light (A, 3)``; ``weights (A, J)``; ``mean (A, P)``, the
+    average face; ``factor (A, r, P)``, the interpolated correlation factor times std; ``own (A, J', P)``, the kernel
+    weight of each bootstrap light that is ``used (J',)`` times std. Of every direction, ``directions (A, n, 3)`` and
+    ``amounts (A, n)``, times its amount: ``narrow (A, n, P)``, the part of std that only nearby lights share;
+    ``lost (A, n, P)``, std of the loadings lost to interpolation.
     """
 
     light: Tensor
     weights: Tensor
     mean: Tensor
+    factor: Tensor
+    used: Tensor
+    own: Tensor
+    directions: Tensor
+    amounts: Tensor
+    narrow: Tensor
+    lost: Tensor
+
+
+class DirectionTerms(NamedTuple):
+    """The terms of n single directions: ``directions (n, 3)``, ``weights (n, J)``, ``mean (n, P)``, ``std (n, P)``,
+    ``factor (n, r, P)``, ``used (J',)``, ``narrow (n, P)``, ``lost (n, P)``; see :class:`LightTerms`."""
+
+    directions: Tensor
+    weights: Tensor
+    mean: Tensor
     std: Tensor
     factor: Tensor
+    used: Tensor
     narrow: Tensor
     lost: Tensor
 
 
 def light_terms(
-    statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor, face: FaceLoadings | None = None
+    statistics: FaceStatistics, pixel: PixelStatistics, lights: Tensor | LightSum, face: FaceLoadings | None = None
 ) -> LightTerms:
-    """Gather the terms of ``lights (A, 3)`` for the per-pixel statistics ``pixel`` (with ``face``: its residual's)."""
-    weights = statistics.weights(lights)  # (A, J)
-    mean = lights @ statistics.n_mean.flatten(1) + weights @ statistics.v_mean.flatten(1)  # (A, P)
+    """Gather the terms of ``lights``, directions ``(A, 3)`` or sums with amounts ``(A, n)``, for the per-pixel
+    statistics ``pixel`` (with ``face``: its residual's)."""
+    if isinstance(lights, Tensor):
+        lights = LightSum.single(lights)
+    directions, amounts = lights.directions, lights.amounts
+    if not lights.shared and amounts.shape[1] == 1:
+        return _scaled(direction_terms(statistics, pixel, directions[:, 0], face), amounts[:, 0])
+    if lights.shared:
+        return summed_terms(direction_terms(statistics, pixel, directions, face), amounts)
+    rows = [
+        summed_terms(direction_terms(statistics, pixel, row, face), amount[None])
+        for row, amount in zip(directions, amounts, strict=True)
+    ]
+    return _stacked(rows)
+
+
+def direction_terms(
+    statistics: FaceStatistics, pixel: PixelStatistics, directions: Tensor, face: FaceLoadings | None = None
+) -> DirectionTerms:
+    """Gather the terms of single ``directions (n, 3)``."""
+    weights = statistics.weights(directions)  # (n, J)
+    mean = directions @ statistics.n_mean.flatten(1) + weights @ statistics.v_mean.flatten(1)  # (n, P)
     used = reached(weights)
     std = (weights[:, used] @ pixel.v_std[used].flatten(1).square()).sqrt()
-    learned = pixel.v_factor[used].flatten(2)  # (J', r, P)
-    factor = (weights[:, used] @ learned.flatten(1)).unflatten(1, learned.shape[1:])  # (A, r, P)
-    return LightTerms(lights, weights, mean, std, factor * std[:, None], *narrow_terms(pixel, weights, face))
+    factor, narrow, lost = _interpolated(pixel, weights, face, EVERYWHERE)
+    return DirectionTerms(directions, weights, mean, std, factor.transpose(0, 1) * std[:, None], used, narrow, lost)
+
+
+def summed_terms(terms: DirectionTerms, amounts: Tensor) -> LightTerms:
+    """Lights that are sums of ``amounts (A, n)`` of the same n directions."""
+    near = terms.weights[:, terms.used]  # (n, J')
+    return LightTerms(
+        amounts @ terms.directions,
+        amounts @ terms.weights,
+        amounts @ terms.mean,
+        torch.tensordot(amounts, terms.factor, 1),
+        terms.used,
+        (amounts[:, None] * near.T) @ terms.std,  # (A, J', P)
+        terms.directions.expand(len(amounts), -1, -1),
+        amounts,
+        amounts[..., None] * terms.narrow,
+        amounts[..., None] * terms.lost,
+    )
+
+
+def _scaled(terms: DirectionTerms, amounts: Tensor) -> LightTerms:
+    """Lights of one direction each, ``amounts (A,)`` times as strong."""
+    by = amounts[:, None]
+    return LightTerms(
+        by * terms.directions,
+        by * terms.weights,
+        by * terms.mean,
+        by[..., None] * terms.factor,
+        terms.used,
+        (by * terms.weights[:, terms.used])[..., None] * terms.std[:, None],
+        terms.directions[:, None],
+        by,
+        (by * terms.narrow)[:, None],
+        (by * terms.lost)[:, None],
+    )
+
+
+def _stacked(rows: list[LightTerms]) -> LightTerms:
+    """Terms of lights that were gathered one by one."""
+    used = torch.cat([row.used for row in rows]).unique()
+    own = [_at(row, used) for row in rows]
+    joined = {name: torch.cat([getattr(row, name) for row in rows]) for name in LightTerms._fields if name != "used"}
+    return LightTerms(**{**joined, "used": used, "own": torch.cat(own)})
+
+
+def _at(terms: LightTerms, lights: Tensor) -> Tensor:
+    """``own`` at some bootstrap ``lights (J'',)``, zero where the terms do not reach, ``(A, J'', P)``."""
+    if terms.used.shape == lights.shape and bool((terms.used == lights).all()):
+        return terms.own
+    there = torch.isin(lights, terms.used)
+    place = torch.searchsorted(terms.used, lights).clamp_max(len(terms.used) - 1)
+    return terms.own[:, place] * there[:, None].to(terms.own)
 
 
 def narrow_terms(
     pixel: PixelStatistics, weights: Tensor, face: FaceLoadings | None = None, pixels: slice = EVERYWHERE
 ) -> tuple[Tensor, Tensor]:
-    """``narrow`` and ``lost`` of :func:`light_terms`, ``(A, P)`` each, at some ``pixels``, from ``weights (A, J)``."""
+    """``narrow`` and ``lost`` of :class:`DirectionTerms`, ``(n, P)`` each, at some ``pixels``, from
+    ``weights (n, J)``."""
+    return _interpolated(pixel, weights, face, pixels)[1:]
+
+
+def _interpolated(
+    pixel: PixelStatistics, weights: Tensor, face: FaceLoadings | None, pixels: slice
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The correlation factor between the bootstrap lights, ``(r, n, P)``, and what interpolation loses: ``narrow`` and
+    ``lost``, ``(n, P)`` each."""
     used = reached(weights)
-    near = weights[:, used]  # (A, J')
+    near = weights[:, used]  # (n, J')
     variance = pixel.v_std.flatten(1)[:, pixels][used].square()  # (J', P)
     learned = pixel.v_factor.flatten(2)[..., pixels][used].transpose(0, 1)  # (r, J', P)
+    factor = near @ learned  # (r, n, P)
     unique = 1 - learned.square().sum(0)
-    own = torch.addmm((near @ learned).square().sum(0), near.square(), unique)  # rho(s, s), (A, P)
-    narrow = positive_root((1 - own).clamp_min(0) * (near @ variance))  # (A, P)
+    own = torch.addmm(factor.square().sum(0), near.square(), unique)  # rho(s, s), (n, P)
+    narrow = positive_root((1 - own).clamp_min(0) * (near @ variance))  # (n, P)
     if face is None:
-        return narrow, torch.zeros_like(narrow)
-    kept = ((weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]).square().sum(0)  # of (k, A, P)
-    return narrow, positive_root(near @ face.v_power.flatten(1)[:, pixels][used] - kept)  # (A, P)
+        return factor, narrow, torch.zeros_like(narrow)
+    inside = weights @ face.basis.T  # (n, m)
+    parts = face.v.flatten(2)[..., pixels].split(LOADINGS_AT_ONCE)
+    kept = torch.stack([(inside @ part).square().sum(0) for part in parts]).sum(0)  # of (k, n, P)
+    return factor, narrow, positive_root(near @ face.v_power.flatten(1)[:, pixels][used] - kept)
 
 
 def reached(weights: Tensor) -> Tensor:
@@ -83,9 +190,11 @@ def reached(weights: Tensor) -> Tensor:
     return (weights > 0).any(0).nonzero()[:, 0]
 
 
-def prior_mean(statistics: FaceStatistics, lights: Tensor) -> Tensor:
-    """``s^T mu_n + mu_v(s)``, ``(A, P)``."""
-    return lights @ statistics.n_mean.flatten(1) + statistics.weights(lights) @ statistics.v_mean.flatten(1)
+def prior_mean(statistics: FaceStatistics, lights: Tensor | LightSum) -> Tensor:
+    """``s^T mu_n + mu_v(s)`` under directions ``(A, 3)`` or sums with amounts ``(A, n)``, ``(A, P)``."""
+    lights = LightSum.single(lights) if isinstance(lights, Tensor) else lights
+    weights = (lights.amounts[:, None] @ statistics.weights(lights.directions))[:, 0]  # (A, J)
+    return lights.vector @ statistics.n_mean.flatten(1) + weights @ statistics.v_mean.flatten(1)
 
 
 def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
@@ -93,14 +202,32 @@ def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: 
 
     Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
     """
-    together = (a.weights.double()[:, None] * b.weights.double()[None]).flatten(0, 1)  # (A B, J)
-    used = reached(together)
-    unique = 1 - pixel.v_factor[used].flatten(2).square().sum(1)  # (J', P)
-    paired = together[:, used] @ unique.double()  # (A B, P)
-    paired = paired.unflatten(0, (len(a.light), len(b.light))) * a.std.double()[:, None] * b.std.double()[None]
-    narrow = a.narrow.double()[:, None] * b.narrow.double()[None] + a.lost.double()[:, None] * b.lost.double()[None]
-    narrow = narrow * statistics.nugget(a.light.double(), b.light.double())[..., None]  # (A, B, P)
-    return torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + (paired + narrow).permute(2, 0, 1)
+    both = a.used[torch.isin(a.used, b.used)]
+    unique = positive_root(1 - pixel.v_factor[both].flatten(2).square().sum(1))  # (J'', P)
+    rows = [torch.cat((t.factor, _at(t, both) * unique), 1).double() for t in (a, b)]  # (A, r + J'', P)
+    kernel = statistics.nugget(*(t.directions.double().flatten(0, 1) for t in (a, b)))  # (A n, B m)
+    narrow = _meeting(a.narrow, b.narrow, kernel) + _meeting(a.lost, b.lost, kernel)  # (A, B, P)
+    return torch.einsum("arp,brp->pab", *rows) + narrow.permute(2, 0, 1)
+
+
+def same_light(statistics: FaceStatistics, a: LightTerms, b: LightTerms) -> Tensor:
+    """How nearly lights a and b are the same up to strength, ``(A, B)`` in 0 to 1 float64: the narrow kernel between
+    two directions."""
+
+    def between(p: LightTerms, q: LightTerms) -> Tensor:
+        kernel = statistics.nugget(*(t.directions.double().flatten(0, 1) for t in (p, q)))
+        return _meeting(p.amounts[..., None], q.amounts[..., None], kernel)[..., 0]
+
+    own = [between(t, t).diagonal() for t in (a, b)]
+    return between(a, b) / (own[0][:, None] * own[1]).clamp_min(1e-60).sqrt()
+
+
+def _meeting(a: Tensor, b: Tensor, kernel: Tensor) -> Tensor:
+    """``sum_ij a_i k_ij b_j`` of ``a (A, n, P)`` and ``b (B, m, P)`` by the narrow kernel ``(A n, B m)``,
+    ``(A, B, P)``."""
+    kernel = kernel.unflatten(0, a.shape[:2]).unflatten(2, b.shape[:2]).permute(2, 0, 1, 3)  # (B, A, n, m)
+    through = kernel.flatten(1, 2) @ b.double() if b.shape[1] > 1 else kernel.flatten(1, 2) * b.double()  # (B, A n, P)
+    return (a.double() * through.unflatten(1, a.shape[:2])).sum(2).transpose(0, 1)
 
 
 def image_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: LightTerms, b: LightTerms) -> Tensor:
@@ -124,6 +251,12 @@ def observed(covariance: Tensor, noise: Tensor | float = 0.0) -> Tensor:
     own = covariance.diagonal(dim1=-2, dim2=-1)  # (P, K)
     squared = torch.as_tensor(noise, dtype=covariance.dtype, device=covariance.device).square()
     return covariance + torch.diag_embed((MEASUREMENT * own + squared).expand_as(own))
+
+
+def gain_noise(statistics: FaceStatistics, terms: LightTerms) -> Tensor:
+    """Noise of the logarithm of a gain read off an image under each light of ``terms``, ``(A,)``: the mean of its
+    directions'."""
+    return (terms.weights @ statistics.gain_noise) / terms.weights.sum(1).clamp_min(1e-30)
 
 
 def loadings_at(face: FaceLoadings, terms: LightTerms) -> Tensor:
