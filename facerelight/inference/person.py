@@ -58,6 +58,15 @@ class _Evidence(NamedTuple):
     gain: Gain  # the person's brightness
 
 
+class _Near(NamedTuple):
+    """What input ``directions (N, 3)`` do to lights near them: ``narrow`` and ``lost`` times what was solved, times the
+    share of their hypothesis, ``(N, P)`` float64."""
+
+    directions: Tensor
+    narrow: Tensor
+    lost: Tensor
+
+
 class PersonPosterior:
     """The posterior of one person; averaged over ``M`` hypotheses about the input lights.
 
@@ -95,6 +104,7 @@ class PersonPosterior:
         self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
         self.v_variance = pixel.v_std.flatten(1).square()
+        self.near: list[_Near] = []
         self.codes: list[tuple[Tensor, Tensor]] = []
         self.evidence: list[_Evidence] = []
         self._left: Tensor | None = None
@@ -150,6 +160,14 @@ class PersonPosterior:
         own = (terms.own * solved[:, None]).sum(0).to(images)  # (J', P)
         self.pull += share * (learned * shared).sum(1)
         self.pull.index_add_(0, terms.used, share * unique[terms.used] * own)
+        narrow, lost = ((share * part * solved[:, None]).flatten(0, 1) for part in (terms.narrow, terms.lost))
+        directions = terms.directions.flatten(0, 1)  # (K n, 3)
+        if self.near and self.near[-1].directions.shape == directions.shape:
+            before = self.near[-1]
+            if torch.equal(before.directions, directions):
+                self.near.pop()
+                narrow, lost = before.narrow + narrow, before.lost + lost
+        self.near.append(_Near(directions, narrow, lost))
 
     def _unique(self) -> Tensor:
         """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``;
@@ -191,7 +209,7 @@ class PersonPosterior:
         """
         weights = self.statistics.weights(targets)  # (Q, J)
         mixed, maps = torch.cat((weights, targets), 1), torch.cat((self.v_map, self.n_map))  # (Q, J + 3), (J + 3, P)
-        near = [self._near(targets, evidence) for evidence in self.evidence]
+        near = [self._reach(targets, near) for near in self.near]
         count, pixels = len(targets), maps.shape[1]
         if torch.is_grad_enabled() and any(part.requires_grad for part in (mixed, maps, self.pull)):
             return self._graph_mean(mixed, maps, near)
@@ -203,9 +221,9 @@ class PersonPosterior:
             block, pull = (buffer[: count * (here.stop - start)].view(count, -1) for buffer in scratch)
             torch.mm(weights, self.v_variance[:, here], out=block).sqrt_()
             block.mul_(torch.mm(weights, self.pull[:, here], out=pull)).addmm_(mixed, maps[:, here])
-            for evidence, (rows, kernel) in zip(self.evidence, near, strict=True):
+            for (rows, kernel), part in zip(near, self.near, strict=True):
                 if len(rows):
-                    block[rows] += self._narrow(weights[rows], kernel, evidence, here)
+                    block[rows] += self._narrow(weights[rows], kernel, part, here)
             image[:, here] = block
         return image
 
@@ -213,28 +231,25 @@ class PersonPosterior:
         """:meth:`mean` for back-propagation, which allows no buffer to be used twice; ``mixed (Q, J + 3)``."""
         weights = mixed[:, :-3]
         image = torch.addmm((weights @ self.v_variance).sqrt() * (weights @ self.pull), mixed, maps)
-        for evidence, (rows, kernel) in zip(self.evidence, near, strict=True):
+        for (rows, kernel), part in zip(near, self.near, strict=True):
             if len(rows):
-                narrow = self._narrow(weights[rows], kernel, evidence, slice(None))
+                narrow = self._narrow(weights[rows], kernel, part, slice(None))
                 image = image.index_add(0, rows, narrow)
         return image
 
-    def _near(self, targets: Tensor, evidence: _Evidence) -> tuple[Tensor, Tensor]:
-        """Which targets lie near the input lights, and their kernel values ``(Q', K n)`` float64 times this
-        hypothesis's share."""
-        kernel = self.statistics.nugget(targets, evidence.terms.directions.flatten(0, 1))  # (Q, K n)
+    def _reach(self, targets: Tensor, near: _Near) -> tuple[Tensor, Tensor]:
+        """Which targets lie near the input lights, and their kernel values ``(Q', N)`` float64."""
+        kernel = self.statistics.nugget(targets, near.directions)  # (Q, N)
         rows = (kernel.amax(1) > NEAR).nonzero()[:, 0]
-        return rows, kernel[rows].double() * (evidence.gain.value * (1 - self.prior_share) / len(self.evidence))
+        return rows, kernel[rows].double()
 
-    def _narrow(self, weights: Tensor, kernel: Tensor, evidence: _Evidence, pixels: slice) -> Tensor:
+    def _narrow(self, weights: Tensor, kernel: Tensor, near: _Near, pixels: slice) -> Tensor:
         """``sigma(s) tau(s) sum_k k(s, s_k) tau(s_k) sigma_v(s_k) g_k`` (4.3), and the like for the loadings' lost
         variance."""
-        terms = evidence.terms
         narrow, lost = narrow_terms(self.pixel, weights, self.face, pixels)  # (Q', P') each
-        solved = evidence.solved[:, None, pixels]  # (K, 1, P')
-        term = narrow * (kernel @ (terms.narrow[..., pixels] * solved).flatten(0, 1))
+        term = narrow * (kernel @ near.narrow[:, pixels])
         if self.face is not None:
-            term += lost * (kernel @ (terms.lost[..., pixels] * solved).flatten(0, 1))
+            term += lost * (kernel @ near.lost[:, pixels])
         return term.to(self.n_map)
 
     def variance(self, targets: Tensor | LightSum) -> Tensor:
