@@ -20,10 +20,12 @@ from facerelight.model.covariance import (
     direction_terms,
     gain_noise,
     image_covariance,
+    left_alone,
     light_terms,
     loadings_at,
     narrow_terms,
     observed,
+    pull_of,
     same_light,
     summed_terms,
 )
@@ -80,6 +82,7 @@ class PersonPosterior:
             code.
         noise: standard deviation of the inputs' noise in radiance, ``(K, 1)`` or ``(K, P)``; a new image is taken to be
             as noisy as they are on average. None: none, and inputs are returned exactly.
+        shared: terms of the directions that all hypotheses share, where they are known already.
     """
 
     def __init__(
@@ -90,6 +93,7 @@ class PersonPosterior:
         covariance: str,
         mask: Tensor | None = None,
         noise: Tensor | None = None,
+        shared: DirectionTerms | None = None,
     ) -> None:
         self.statistics = statistics
         self.face = statistics.face if covariance == "face" else None
@@ -110,7 +114,8 @@ class PersonPosterior:
         self._left: Tensor | None = None
         lights = LightSum.single(hypotheses) if isinstance(hypotheses, Tensor) else hypotheses
         seen = lights.amounts.sum(-1) > 0  # (M, K)
-        shared = direction_terms(statistics, pixel, lights.directions, self.face) if lights.shared else None
+        if lights.shared and len(seen) > 1 and shared is None:
+            shared = direction_terms(statistics, pixel, lights.directions, self.face)
         for index, kept in enumerate(seen):
             if kept.any():
                 self._add(pixels[kept], self._terms(lights[index][kept], shared), sigma[kept], 1 / len(seen))
@@ -157,9 +162,11 @@ class PersonPosterior:
         learned = pixel.v_factor.flatten(2)  # (J, r, P)
         unique = self._unique()
         shared = (terms.factor * solved[:, None]).sum(0).to(images)  # (r, P)
-        own = (terms.own * solved[:, None]).sum(0).to(images)  # (J', P)
-        self.pull += share * (learned * shared).sum(1)
-        self.pull.index_add_(0, terms.used, share * unique[terms.used] * own)
+        own = pull_of(terms, solved).to(images)  # (J, P)
+        pull = unique * own
+        for row in range(len(shared)):  # one after the other: no product of their size is held
+            pull.addcmul_(learned[:, row], shared[row])
+        self.pull += share * pull
         narrow, lost = ((share * part * solved[:, None]).flatten(0, 1) for part in (terms.narrow, terms.lost))
         directions = terms.directions.flatten(0, 1)  # (K n, 3)
         if self.near and self.near[-1].directions.shape == directions.shape:
@@ -173,7 +180,7 @@ class PersonPosterior:
         """What of the deviation at each bootstrap light the correlation factor leaves to that light alone, ``(J, P)``;
         worked out once."""
         if self._left is None:
-            self._left = 1 - self.pixel.v_factor.flatten(2).square().sum(1)
+            self._left = left_alone(self.pixel.v_factor.flatten(2), 1)
         return self._left
 
     def _explain(self, code: Tensor, share: Tensor) -> None:

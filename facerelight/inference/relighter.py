@@ -20,7 +20,7 @@ from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.compression import compress_estimator, decompress_estimator
-from facerelight.model.covariance import prior_mean
+from facerelight.model.covariance import DirectionTerms, direction_terms, prior_mean
 from facerelight.model.file import replacing
 from facerelight.model.registration import deform
 from facerelight.model.registration import register as find_deformation
@@ -75,6 +75,7 @@ class StatisticalRelighter(nn.Module):
         if not (math.isfinite(noise) and noise >= 0):
             raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
         self.noise = float(noise)
+        self._terms: list[DirectionTerms] = []  # of the bootstrap's lights; in a list, as what follows
         self._likelihood: list[LikelihoodIlluminationEstimator] = []  # in a list: no part of the module's state
 
     def condition(
@@ -129,6 +130,7 @@ class StatisticalRelighter(nn.Module):
                 else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
             )
             deformations = torch.stack(found)
+        shared = self._shared_terms(hypotheses)
         people = [
             PersonPosterior(
                 self.statistics,
@@ -137,6 +139,7 @@ class StatisticalRelighter(nn.Module):
                 self.covariance,
                 None if mask is None else mask[index],
                 noise[index],
+                shared,
             )
             for index, person in enumerate(images)
         ]
@@ -182,6 +185,24 @@ class StatisticalRelighter(nn.Module):
             return drawn
         known, unknown = (part.repeat_interleave(each, 1) for part in (known, unknown))
         return _filled_in(known.nan_to_num(0.0), unknown, drawn)
+
+    def _shared_terms(self, lights: LightSum) -> DirectionTerms | None:
+        """The terms of directions that all ``lights`` share, once for everybody; those of the bootstrap's lights are
+        kept. None: they are not shared, or there is one light alone, which is cheaper without."""
+        if not lights.shared:
+            return None
+        statistics, directions = self.statistics, lights.directions
+        face = statistics.face if self.covariance == "face" else None
+        pixel = statistics.pixel if face is None else face.residual
+        assert pixel is not None
+        own = directions.shape == statistics.lights.shape and torch.allclose(directions, statistics.lights, atol=1e-6)
+        if not own or directions.requires_grad:
+            few = lights.amounts.shape[:-1].numel() == 1
+            return None if few else direction_terms(statistics, pixel, directions, face)
+        kept, here = self._terms, statistics.n_mean
+        if not kept or (kept[0].mean.device, kept[0].mean.dtype) != (here.device, here.dtype):
+            kept[:] = [direction_terms(statistics, pixel, statistics.lights, face)]
+        return kept[0]
 
     def _own_estimator(self) -> LikelihoodIlluminationEstimator:
         """The likelihood of the statistics, made once; anew where they have moved to another device or dtype."""

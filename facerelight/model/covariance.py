@@ -7,7 +7,7 @@ lights meet.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -23,11 +23,13 @@ __all__ = [
     "direction_terms",
     "gain_noise",
     "image_covariance",
+    "left_alone",
     "light_terms",
     "loadings_at",
     "narrow_terms",
     "observed",
     "prior_mean",
+    "pull_of",
     "reached",
     "same_light",
     "summed_terms",
@@ -35,25 +37,25 @@ __all__ = [
 
 MEASUREMENT = 1e-8  # relative variance of an observation
 EVERYWHERE = slice(None)
-LOADINGS_AT_ONCE = 8
+LEAST_BLOCK, VALUES_AT_ONCE = 512, 32768
 
 
 class LightTerms(NamedTuple):
     """What a model of A lights at P pixels is made of, gathered once. A light is a sum of n directions, or one.
 
     Sums over a light's directions, times their amounts: ``light (A, 3)``; ``weights (A, J)``; ``mean (A, P)``, the
-    average face; ``factor (A, r, P)``, the interpolated correlation factor times std; ``own (A, J', P)``, the kernel
-    weight of each bootstrap light that is ``used (J',)`` times std. Of every direction, ``directions (A, n, 3)`` and
-    ``amounts (A, n)``, times its amount: ``narrow (A, n, P)``, the part of std that only nearby lights share;
-    ``lost (A, n, P)``, std of the loadings lost to interpolation.
+    average face; ``factor (A, r, P)``, the interpolated correlation factor times std; ``own (A, J, P)``, weights times
+    std. A single direction's ``own`` is None and its ``std (A, P)`` given instead. Of every direction,
+    ``directions (A, n, 3)`` and ``amounts (A, n)``, times its amount: ``narrow (A, n, P)``, the part of std that only
+    nearby lights share; ``lost (A, n, P)``, std of the loadings lost to interpolation.
     """
 
     light: Tensor
     weights: Tensor
     mean: Tensor
     factor: Tensor
-    used: Tensor
-    own: Tensor
+    own: Tensor | None
+    std: Tensor | None
     directions: Tensor
     amounts: Tensor
     narrow: Tensor
@@ -62,14 +64,13 @@ class LightTerms(NamedTuple):
 
 class DirectionTerms(NamedTuple):
     """The terms of n single directions: ``directions (n, 3)``, ``weights (n, J)``, ``mean (n, P)``, ``std (n, P)``,
-    ``factor (n, r, P)``, ``used (J',)``, ``narrow (n, P)``, ``lost (n, P)``; see :class:`LightTerms`."""
+    ``factor (n, r, P)``, ``narrow (n, P)``, ``lost (n, P)``; see :class:`LightTerms`."""
 
     directions: Tensor
     weights: Tensor
     mean: Tensor
     std: Tensor
     factor: Tensor
-    used: Tensor
     narrow: Tensor
     lost: Tensor
 
@@ -83,38 +84,87 @@ def light_terms(
         lights = LightSum.single(lights)
     directions, amounts = lights.directions, lights.amounts
     if not lights.shared and amounts.shape[1] == 1:
-        return _scaled(direction_terms(statistics, pixel, directions[:, 0], face), amounts[:, 0])
+        return _scaled(direction_terms(statistics, pixel, directions[:, 0], face), amounts)
     if lights.shared:
-        return summed_terms(direction_terms(statistics, pixel, directions, face), amounts)
+        weights = statistics.weights(directions)
+        blocks = _blocks(len(directions), statistics)
+        parts = [_direction_terms(statistics, pixel, directions, weights, face, here) for here in blocks]
+        return _beside([summed_terms(part, amounts) for part in parts])
     rows = [
-        summed_terms(direction_terms(statistics, pixel, row, face), amount[None])
+        light_terms(statistics, pixel, LightSum(row, amount[None]), face)
         for row, amount in zip(directions, amounts, strict=True)
     ]
-    return _stacked(rows)
+    first = rows[0]
+    names = [name for name in LightTerms._fields if getattr(first, name) is not None]
+    return first._replace(**{name: torch.cat([getattr(row, name) for row in rows]) for name in names})
 
 
 def direction_terms(
     statistics: FaceStatistics, pixel: PixelStatistics, directions: Tensor, face: FaceLoadings | None = None
 ) -> DirectionTerms:
     """Gather the terms of single ``directions (n, 3)``."""
-    weights = statistics.weights(directions)  # (n, J)
-    mean = directions @ statistics.n_mean.flatten(1) + weights @ statistics.v_mean.flatten(1)  # (n, P)
+    weights = statistics.weights(directions)
+    blocks = _blocks(len(directions), statistics)
+    return _beside([_direction_terms(statistics, pixel, directions, weights, face, here) for here in blocks])
+
+
+def _direction_terms(
+    statistics: FaceStatistics,
+    pixel: PixelStatistics,
+    directions: Tensor,
+    weights: Tensor,
+    face: FaceLoadings | None,
+    pixels: slice,
+) -> DirectionTerms:
+    """:func:`direction_terms` at some ``pixels``, from ``weights (n, J)``."""
+    n_mean, v_mean = (part.flatten(1)[:, pixels] for part in (statistics.n_mean, statistics.v_mean))
     used = reached(weights)
-    std = (weights[:, used] @ pixel.v_std[used].flatten(1).square()).sqrt()
-    factor, narrow, lost = _interpolated(pixel, weights, face, EVERYWHERE)
-    return DirectionTerms(directions, weights, mean, std, factor.transpose(0, 1) * std[:, None], used, narrow, lost)
+    std = (weights[:, used] @ _some(pixel.v_std.flatten(1)[:, pixels], used).square()).sqrt()  # (n, P')
+    factor, narrow, lost = _interpolated(pixel, weights, face, pixels)
+    factor = factor.transpose(0, 1) * std[:, None]
+    return DirectionTerms(directions, weights, directions @ n_mean + weights @ v_mean, std, factor, narrow, lost)
+
+
+Terms = TypeVar("Terms", DirectionTerms, LightTerms)
+OF_PIXELS = ("mean", "std", "factor", "own", "narrow", "lost")
+
+
+def _beside(parts: list[Terms]) -> Terms:
+    """Terms of blocks of pixels as one."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    names = [name for name in OF_PIXELS if getattr(first, name, None) is not None]
+    return first._replace(**{name: torch.cat([getattr(part, name) for part in parts], -1) for name in names})
+
+
+def _at(terms: LightTerms, pixels: slice) -> LightTerms:
+    """Terms at some pixels."""
+    names = [name for name in OF_PIXELS if getattr(terms, name) is not None]
+    return terms._replace(**{name: getattr(terms, name)[..., pixels] for name in names})
+
+
+def _some(maps: Tensor, used: Tensor) -> Tensor:
+    """``maps (J, ...)`` of the lights ``used (J',)``; no copy where that is all of them."""
+    return maps if len(used) == len(maps) else maps[used]
+
+
+def _blocks(count: int, statistics: FaceStatistics) -> list[slice]:
+    """Pixels that are worked on together: few enough for the terms of ``count`` directions to stay in the cache."""
+    pixels = statistics.size[0] * statistics.size[1]
+    step = max(LEAST_BLOCK, VALUES_AT_ONCE // max(count, 1))
+    return [slice(start, min(start + step, pixels)) for start in range(0, pixels, step)]
 
 
 def summed_terms(terms: DirectionTerms, amounts: Tensor) -> LightTerms:
     """Lights that are sums of ``amounts (A, n)`` of the same n directions."""
-    near = terms.weights[:, terms.used]  # (n, J')
     return LightTerms(
         amounts @ terms.directions,
         amounts @ terms.weights,
         amounts @ terms.mean,
         torch.tensordot(amounts, terms.factor, 1),
-        terms.used,
-        (amounts[:, None] * near.T) @ terms.std,  # (A, J', P)
+        (amounts[:, None] * terms.weights.T) @ terms.std,  # (A, J, P)
+        None,
         terms.directions.expand(len(amounts), -1, -1),
         amounts,
         amounts[..., None] * terms.narrow,
@@ -123,37 +173,19 @@ def summed_terms(terms: DirectionTerms, amounts: Tensor) -> LightTerms:
 
 
 def _scaled(terms: DirectionTerms, amounts: Tensor) -> LightTerms:
-    """Lights of one direction each, ``amounts (A,)`` times as strong."""
-    by = amounts[:, None]
+    """Lights of one direction each, ``amounts (A, 1)`` times as strong."""
     return LightTerms(
-        by * terms.directions,
-        by * terms.weights,
-        by * terms.mean,
-        by[..., None] * terms.factor,
-        terms.used,
-        (by * terms.weights[:, terms.used])[..., None] * terms.std[:, None],
+        amounts * terms.directions,
+        amounts * terms.weights,
+        amounts * terms.mean,
+        amounts[..., None] * terms.factor,
+        None,
+        terms.std,
         terms.directions[:, None],
-        by,
-        (by * terms.narrow)[:, None],
-        (by * terms.lost)[:, None],
+        amounts,
+        (amounts * terms.narrow)[:, None],
+        (amounts * terms.lost)[:, None],
     )
-
-
-def _stacked(rows: list[LightTerms]) -> LightTerms:
-    """Terms of lights that were gathered one by one."""
-    used = torch.cat([row.used for row in rows]).unique()
-    own = [_at(row, used) for row in rows]
-    joined = {name: torch.cat([getattr(row, name) for row in rows]) for name in LightTerms._fields if name != "used"}
-    return LightTerms(**{**joined, "used": used, "own": torch.cat(own)})
-
-
-def _at(terms: LightTerms, lights: Tensor) -> Tensor:
-    """``own`` at some bootstrap ``lights (J'',)``, zero where the terms do not reach, ``(A, J'', P)``."""
-    if terms.used.shape == lights.shape and bool((terms.used == lights).all()):
-        return terms.own
-    there = torch.isin(lights, terms.used)
-    place = torch.searchsorted(terms.used, lights).clamp_max(len(terms.used) - 1)
-    return terms.own[:, place] * there[:, None].to(terms.own)
 
 
 def narrow_terms(
@@ -171,18 +203,17 @@ def _interpolated(
     ``lost``, ``(n, P)`` each."""
     used = reached(weights)
     near = weights[:, used]  # (n, J')
-    variance = pixel.v_std.flatten(1)[:, pixels][used].square()  # (J', P)
-    learned = pixel.v_factor.flatten(2)[..., pixels][used].transpose(0, 1)  # (r, J', P)
+    variance = _some(pixel.v_std.flatten(1)[:, pixels], used).square()  # (J', P)
+    learned = _some(pixel.v_factor.flatten(2)[..., pixels], used).transpose(0, 1)  # (r, J', P)
     factor = near @ learned  # (r, n, P)
-    unique = 1 - learned.square().sum(0)
-    own = torch.addmm(factor.square().sum(0), near.square(), unique)  # rho(s, s), (n, P)
-    narrow = positive_root((1 - own).clamp_min(0) * (near @ variance))  # (n, P)
+    # 1 - rho(s, s), (n, P)
+    missing = left_alone(factor, 0) - near.square() @ left_alone(learned, 0)
+    narrow = positive_root(missing.clamp_min(0) * (near @ variance))  # (n, P)
     if face is None:
         return factor, narrow, torch.zeros_like(narrow)
-    inside = weights @ face.basis.T  # (n, m)
-    parts = face.v.flatten(2)[..., pixels].split(LOADINGS_AT_ONCE)
-    kept = torch.stack([(inside @ part).square().sum(0) for part in parts]).sum(0)  # of (k, n, P)
-    return factor, narrow, positive_root(near @ face.v_power.flatten(1)[:, pixels][used] - kept)
+    loadings = (weights @ face.basis.T) @ face.v.flatten(2)[..., pixels]  # (k, n, P)
+    kept = _power(loadings, 0)
+    return factor, narrow, positive_root(near @ _some(face.v_power.flatten(1)[:, pixels], used) - kept)
 
 
 def reached(weights: Tensor) -> Tensor:
@@ -202,12 +233,63 @@ def deviation_covariance(statistics: FaceStatistics, pixel: PixelStatistics, a: 
 
     Summed in float64: in float32 the rounding of K nearly equal lights alone can make it indefinite.
     """
-    both = a.used[torch.isin(a.used, b.used)]
-    unique = positive_root(1 - pixel.v_factor[both].flatten(2).square().sum(1))  # (J'', P)
-    rows = [torch.cat((t.factor, _at(t, both) * unique), 1).double() for t in (a, b)]  # (A, r + J'', P)
     kernel = statistics.nugget(*(t.directions.double().flatten(0, 1) for t in (a, b)))  # (A n, B m)
-    narrow = _meeting(a.narrow, b.narrow, kernel) + _meeting(a.lost, b.lost, kernel)  # (A, B, P)
-    return torch.einsum("arp,brp->pab", *rows) + narrow.permute(2, 0, 1)
+    blocks = _blocks(max(t.amounts.numel() if t.std is None else 1 for t in (a, b)), statistics)
+    parts = [_deviation_covariance(pixel, _at(a, here), _at(b, here), kernel, here) for here in blocks]
+    return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+
+def _deviation_covariance(
+    pixel: PixelStatistics, a: LightTerms, b: LightTerms, kernel: Tensor, pixels: slice
+) -> Tensor:
+    """At some ``pixels``, whose terms ``a`` and ``b`` are."""
+    apart = (
+        _unique_covariance(pixel, a, b, pixels)
+        + _meeting(a.narrow, b.narrow, kernel)
+        + _meeting(a.lost, b.lost, kernel)
+    )
+    return torch.einsum("arp,brp->pab", a.factor.double(), b.factor.double()) + apart.permute(2, 0, 1)
+
+
+def _unique_covariance(pixel: PixelStatistics, a: LightTerms, b: LightTerms, pixels: slice) -> Tensor:
+    """What lights a and b share of that which the correlation factor leaves to single bootstrap lights,
+    ``(A, B, P)``."""
+    together = (a.weights.double()[:, None] * b.weights.double()[None]).flatten(0, 1)  # (A B, J)
+    used = reached(together)
+    unique = left_alone(_some(pixel.v_factor.flatten(2)[..., pixels], used), 1).double()  # (J', P)
+    if a.std is not None and b.std is not None:
+        paired = (together[:, used] @ unique).unflatten(0, (len(a.light), len(b.light)))
+        return paired * a.std.double()[:, None] * b.std.double()[None]
+    rows = [_own(t)[:, used].double() for t in (a, b)]  # (A, J', P)
+    return torch.einsum("ajp,bjp->abp", rows[0] * unique, rows[1])
+
+
+def left_alone(factor: Tensor, dimension: int) -> Tensor:
+    """``1 - sum_r F_r^2``, what a correlation factor leaves."""
+    return 1 - _power(factor, dimension)
+
+
+def _power(values: Tensor, dimension: int) -> Tensor:
+    """The sum of squares over one dimension, row by row, so that no square of their size is held."""
+    total = torch.zeros_like(values.select(dimension, 0)) if values.shape[dimension] else values.sum(dimension)
+    for row in values.unbind(dimension):
+        total.addcmul_(row, row)
+    return total
+
+
+def _own(terms: LightTerms) -> Tensor:
+    """Weights times std, ``(A, J, P)``."""
+    if terms.std is not None:
+        return terms.weights[..., None] * terms.std[:, None]
+    assert terms.own is not None
+    return terms.own
+
+
+def pull_of(terms: LightTerms, solved: Tensor) -> Tensor:
+    """``sum_k own_kj g_k``, how inputs with ``g = solved (K, P)`` pull each bootstrap light, ``(J, P)`` float64."""
+    if terms.std is not None:
+        return terms.weights.double().T @ (terms.std * solved)
+    return (_own(terms) * solved[:, None]).sum(0)
 
 
 def same_light(statistics: FaceStatistics, a: LightTerms, b: LightTerms) -> Tensor:
