@@ -7,8 +7,10 @@ if TYPE_CHECKING:
     from facerelight.config import TrainConfig
     from facerelight.geometry.lights import angles_from_light, light_from_angles
     from facerelight.geometry.sources import Lamp, LightMixture
+    from facerelight.geometry.sums import LightSum
     from facerelight.inference.detail import keep_detail
     from facerelight.inference.relighter import StatisticalRelighter
+    from facerelight.light.amounts import SoftLightEstimator
     from facerelight.light.estimator import LightEstimator
     from facerelight.light.kernel import KernelIlluminationEstimator
     from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -40,10 +42,12 @@ _HOMES = {
     "Lamp": "geometry.sources",
     "LightEstimator": "light.estimator",
     "LightMixture": "geometry.sources",
+    "LightSum": "geometry.sums",
     "LightViews": "viewpoint.views",
     "LikelihoodIlluminationEstimator": "light.likelihood",
     "NearestNeighborClassifier": "recognition.nearest",
     "PhotoRelighter": "photo",
+    "SoftLightEstimator": "light.amounts",
     "StatisticalRelighter": "inference.relighter",
     "SumClassifier": "recognition.classifier",
     "TrainConfig": "config",
@@ -69,10 +73,12 @@ __all__ = [
     "Lamp",
     "LightEstimator",
     "LightMixture",
+    "LightSum",
     "LightViews",
     "LikelihoodIlluminationEstimator",
     "NearestNeighborClassifier",
     "PhotoRelighter",
+    "SoftLightEstimator",
     "StatisticalRelighter",
     "SumClassifier",
     "TrainConfig",

@@ -18,6 +18,7 @@ from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.relighter import Covariance, StatisticalRelighter
+from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.estimator import GaussianBelief, LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -85,11 +86,12 @@ def estimators(statistics: FaceStatistics, people: torch.Tensor, lights: torch.T
     return {
         "kernel": KernelIlluminationEstimator.fit(people[:12], lights),
         "likelihood": LikelihoodIlluminationEstimator(statistics, count=80),
+        "amounts": SoftLightEstimator(statistics),
         "toy": BrightSide(),
     }
 
 
-@pytest.mark.parametrize("name", ["kernel", "likelihood", "toy"])
+@pytest.mark.parametrize("name", ["kernel", "likelihood", "amounts", "toy"])
 class TestLightEstimator:
     def test_it_answers_with_a_unit_vector_an_image(
         self, estimators: dict[str, LightEstimator], people: torch.Tensor, name: str

@@ -11,6 +11,7 @@ from elsewhere import AWAY, Elsewhere
 
 from facerelight.geometry.lights import even_hemisphere
 from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -106,6 +107,7 @@ def estimators(statistics: FaceStatistics, people: torch.Tensor, lights: torch.T
     return {
         "kernel": KernelIlluminationEstimator.fit(people[:12], lights),
         "likelihood": LikelihoodIlluminationEstimator(statistics, count=40),
+        "amounts": SoftLightEstimator(statistics, pixels=100),
     }
 
 

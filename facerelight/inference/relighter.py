@@ -119,17 +119,9 @@ class StatisticalRelighter(nn.Module):
         noise = self._input_noise(images, scale)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
-            found = [
-                self._registration(person, hypotheses[index], None if mask is None else mask[index], noise[index])
-                for index, person in enumerate(images)
-            ]
-            images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
-            mask = (
-                None
-                if mask is None
-                else torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
-            )
-            deformations = torch.stack(found)
+            deformations, images, mask = self._registered(images, hypotheses, mask, noise)
+            if source_lights is None:  # once more, now that it is in step with the model
+                hypotheses = self._hypotheses(images, None, estimator or self.estimator, draws, generator, mask)
         shared = self._shared_terms(hypotheses)
         people = [
             PersonPosterior(
@@ -221,6 +213,20 @@ class StatisticalRelighter(nn.Module):
                 f" got {tuple(scale.shape)}; give what each image was multiplied by"
             )
         return self.noise / 255 * scale.to(images.device).double().reshape(*images.shape[:2], -1)
+
+    def _registered(
+        self, images: Tensor, hypotheses: LightSum, mask: Tensor | None, noise: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Deformations ``(B, 6)``, and images ``(B, K, H, W)`` and mask ``(B, H, W)`` brought into the model's
+        place."""
+        found = [
+            self._registration(person, hypotheses[index], None if mask is None else mask[index], noise[index])
+            for index, person in enumerate(images)
+        ]
+        images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
+        if mask is not None:
+            mask = torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
+        return torch.stack(found), images, mask
 
     def _registration(self, images: Tensor, tried: LightSum, mask: Tensor | None, noise: Tensor) -> Tensor:
         """The deformation of one face under the mean of the lights ``tried``, amounts ``(M, K, n)``: to the average

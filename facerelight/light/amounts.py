@@ -24,11 +24,11 @@ from facerelight.numerics.sampling import quasi_normal
 
 __all__ = ["SoftLightEstimator"]
 
-SPREAD, REACH, ROUGH = 2.0, 0.5, 0.05
+SPREAD, REACH, ROUGH = 3.0, 0.5, 0.05
 """Prior of the logarithms of amounts: standard deviation, distance over which they go together on the unit sphere, and
 the share of the variance that every direction has to itself."""
 TEMPER = 16.0  # pixels are not independent given the code
-LEVEL = 1e3  # standard deviation of the logarithm of the whole amount, which says the exposure
+LEVEL = 1e3  # standard deviation of the logarithm of the whole amount; it is then read off the average face
 START = 1e-2  # of the largest amount: none starts lower
 STEPS, HALVINGS = 30, 6
 SETTLED = 1e-3  # of the log posterior
@@ -123,6 +123,7 @@ class SoftLightEstimator(LightEstimator):
         _, information = self.model.slope(image, amounts)
         rows = amounts[..., None] * turn
         curvature = gaussian.safe_cholesky(rows.mT @ information @ rows / TEMPER + torch.diag(precision))
+        amounts = amounts * self.model.gain(image, amounts)[:, None]
         return amounts, gaussian.solve_lower(curvature, turn.T.expand(len(found), -1, -1)).mT  # (B, n, n + 1)
 
     def _climb(

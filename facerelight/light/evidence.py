@@ -19,7 +19,7 @@ from facerelight.numerics.buffers import LearnedModule
 __all__ = ["ImageEvidence", "MixtureModel"]
 
 CODE_TEMPER = 100 / 8064  # of the whole-face code, an observed pixel: 100 at 96 x 84
-NOISE = 2 / 255  # radiance
+NOISE = 8 / 255  # radiance: what of a face the model does not explain
 STEPS = 100  # multiplicative updates of a start
 
 
@@ -122,6 +122,13 @@ class MixtureModel(LearnedModule):
         for _ in range(STEPS):
             amounts = amounts * target / (gram @ amounts[..., None])[..., 0].clamp_min(1e-30)
         return amounts
+
+    def gain(self, image: ImageEvidence, amounts: Tensor) -> Tensor:
+        """How much brighter the photographs are than the average face under ``amounts (B, n)``, ``(B,)``, by least
+        squares: the likelihood's own level leans to the dark, where the model is surest."""
+        expected = amounts @ self.mean.double()  # (B, P)
+        power = (image.weight * expected.square()).sum(1)
+        return (image.weight * image.seen * expected).sum(1).clamp_min(0) / power.clamp_min(1e-30)
 
     def log_likelihood(self, image: ImageEvidence, amounts: Tensor) -> Tensor:
         """Of each photograph under its ``amounts (B, n)``, up to a constant, untempered, ``(B,)``."""
