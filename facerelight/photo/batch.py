@@ -15,6 +15,7 @@ from facerelight.photo.scenes import Scene, scene_paths
 from facerelight.photo.stages import Stage, StageLog
 
 if TYPE_CHECKING:
+    from facerelight.geometry.sources import Lamp, LightMixture
     from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.faces.landmarks import Face
     from facerelight.photo.files.photograph import PhotoFile
@@ -39,7 +40,8 @@ class Job(NamedTuple):
 
 
 class Request(NamedTuple):
-    """What is asked for every photo; ``face`` is "largest", "all" or a number from 1; ``source_light`` in degrees."""
+    """What is asked for every photo; ``face`` is "largest", "all" or a number from 1; ``source_light`` in degrees;
+    ``light_of`` another photo whose light is taken; ``add``: to the photo's own light."""
 
     scenes: Sequence[Scene]
     fill: float = 0.1
@@ -48,6 +50,8 @@ class Request(NamedTuple):
     landmarks: list[tuple[float, float]] | None = None
     source_light: tuple[float, float] | None = None
     method: str = "expected"
+    light_of: Path | None = None
+    add: bool = False
 
 
 def find_jobs(
@@ -185,13 +189,18 @@ def _relight(
         known: dict[str, Any] = {"source_light": light, "more": more, "method": request.method, "face": face}
         return PhotoRelighter(pixels, request.landmarks, relighter, **known)
 
+    taken = [] if request.light_of is None else [_light_of(request.light_of, relighter)]
+
+    def lights(of: PhotoRelighter, scene: Scene) -> list[Lamp | LightMixture]:
+        return [*([of.light] if request.add else []), *taken, *scene.lamps]
+
     first = session(photo.pixels, chosen[0][1])
     facts, said = [_facts(first)], list(first.warnings)
     for path, scene in zip(job.outputs, request.scenes, strict=True):
-        pixels = first.render(scene.lamps, fill=request.fill, strength=request.strength)
+        pixels = first.render(lights(first, scene), fill=request.fill, strength=request.strength)
         for _, face in chosen[1:]:
             other = session(pixels, face)
-            pixels = other.render(scene.lamps, fill=request.fill, strength=request.strength)
+            pixels = other.render(lights(other, scene), fill=request.fill, strength=request.strength)
             facts.append(_facts(other))
             said += other.warnings
         write_photo(path, pixels, photo)
@@ -208,6 +217,14 @@ def _relight(
     report = {"method": request.method, "output": written, **facts[0], "warnings": list(dict.fromkeys(said))}
     faces = [{"index": index, **fact} for (index, _), fact in zip(chosen, facts, strict=False)]
     return report if len(faces) == 1 else {**report, "faces": faces}
+
+
+def _light_of(path: Path, relighter: StatisticalRelighter) -> LightMixture:
+    """The light of another photo, as fitted to its largest face."""
+    from facerelight.photo.session import PhotoRelighter
+
+    with _naming(path):
+        return PhotoRelighter(read_photo(path).pixels, None, relighter).light
 
 
 def _facts(session: PhotoRelighter) -> dict[str, Any]:

@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 from facerelight.inference.methods import RELIGHTING_METHODS
 from facerelight.photo.batch import Job, Load, Request, find_jobs, relight_photo
-from facerelight.photo.scenes import LAMP, parse_angles, parse_landmarks, parse_scenes
+from facerelight.photo.scenes import (
+    ENVIRONMENT,
+    LAMP,
+    Scene,
+    parse_angles,
+    parse_environment,
+    parse_landmarks,
+    parse_scenes,
+)
 
 if TYPE_CHECKING:
     from facerelight.inference.relighter import StatisticalRelighter
@@ -21,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["relight_parser", "run_relight"]
 
 COVARIANCES = ("face", "pixel")
+SETUPS = ("rembrandt", "butterfly", "loop", "split", "clamshell", "rim")
 QUALITIES = ("draft", "standard", "reference")
 EPILOG = """The relit photo keeps size, depth, colour profile, EXIF and alpha. JPEG is written at quality 95 without
 chroma subsampling; a photo with alpha is laid over white there. Exit codes: 0 done, 1 nothing found, or a part of
@@ -42,7 +51,13 @@ def relight_parser() -> ArgumentParser:
     option("--azimuth", type=float, nargs="+", help="degrees, positive: light at image-left; several: several pictures")
     option("--elevation", type=float, nargs="+", help="degrees, positive: light above (default of both: 0)")
     option("--size", type=float, default=5.0, help="angular radius of lamps, degrees: 1 bulb, 15 soft box (default: 5)")
-    option("--fill", type=float, default=0.1, help="share of light from all around, 0 to 1 (default: 0.1)")
+    option("--studio", choices=SETUPS, help="lamps that portrait photographers know by this name")
+    panorama = "a panorama as the sitter sees it, the camera in its middle: .hdr, .exr or a picture"
+    option("--environment", metavar=ENVIRONMENT, help=f"light of {panorama}")
+    option("--light-of", metavar="PHOTO", help="the light of another photo")
+    option("--even", action="store_true", help="the same light from everywhere: no shading")
+    option("--add", action="store_true", help="add the new light to the photo's own")
+    option("--fill", type=float, help="share of light from all around, 0 to 1 (default: 0.1, without lamps 0)")
     option("--strength", type=float, default=1.0, help="0 leaves the photo as it is, 1 relights it (default: 1)")
     option = parser.add_argument_group("the photo").add_argument
     which = "which of several faces: the largest whole one, all, or the N-th, whole ones first, then by size"
@@ -125,16 +140,42 @@ def _run_batch(jobs: list[Job], request: Request, load: Load, arguments: Namespa
 
 
 def _request(arguments: Namespace) -> Request:
-    scenes = parse_scenes(arguments.light, arguments.azimuth, arguments.elevation, arguments.size)
-    for name in ("fill", "strength"):
-        value = getattr(arguments, name)
+    scenes, lamps = _scenes(arguments)
+    fill = (0.1 if lamps and not arguments.add else 0.0) if arguments.fill is None else arguments.fill
+    for name, value in (("fill", fill), ("strength", arguments.strength)):
         if not (math.isfinite(value) and 0 <= value <= 1):
             raise ValueError(f"{name}: expected a share from 0 to 1, got {value}")
     landmarks = None if arguments.landmarks is None else parse_landmarks(arguments.landmarks)
     if landmarks and arguments.face != "largest":
         raise ValueError("face: expected --face or --landmarks, got both")
     source = None if arguments.source_light is None else parse_angles(arguments.source_light, "source-light")
-    return Request(scenes, arguments.fill, arguments.strength, arguments.face, landmarks, source, arguments.method)
+    light_of = None if arguments.light_of is None else Path(arguments.light_of)
+    strength, face = arguments.strength, arguments.face
+    return Request(scenes, fill, strength, face, landmarks, source, arguments.method, light_of, arguments.add)
+
+
+def _scenes(arguments: Namespace) -> tuple[list[Scene], bool]:
+    """The scenes asked for, and whether lamps light them."""
+    others = ("studio", "environment", "light_of", "even")
+    given = [name for name in others if getattr(arguments, name)]
+    lamps = bool(arguments.light) or arguments.azimuth is not None or arguments.elevation is not None
+    if len(given) + lamps > 1:
+        shown = ", ".join([*given, *(["lamps"] if lamps else [])]).replace("_", "-")
+        raise ValueError(f"lights: expected lamps or one of {', '.join(others).replace('_', '-')}, got {shown}")
+    if not given:
+        return parse_scenes(arguments.light, arguments.azimuth, arguments.elevation, arguments.size), True
+    if arguments.studio:
+        from facerelight.geometry.studio import studio_lamps
+
+        key = studio_lamps(arguments.studio)
+        return [Scene(key, key[0].azimuth, key[0].elevation)], True
+    if arguments.environment:
+        return [Scene((parse_environment(arguments.environment),), 0.0, 0.0)], False
+    if arguments.light_of:
+        return [Scene((), 0.0, 0.0)], False
+    from facerelight.geometry.environment import even_light
+
+    return [Scene((even_light(),), 0.0, 0.0)], False
 
 
 def _face(text: str) -> str:

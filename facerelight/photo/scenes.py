@@ -8,19 +8,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from facerelight.geometry.sources import Lamp
+    from facerelight.geometry.sources import Lamp, LightMixture
 
-__all__ = ["Scene", "join_values", "parse_angles", "parse_lamp", "parse_landmarks", "parse_scenes", "scene_paths"]
+__all__ = [
+    "Scene",
+    "join_values",
+    "parse_angles",
+    "parse_environment",
+    "parse_lamp",
+    "parse_landmarks",
+    "parse_scenes",
+    "scene_paths",
+]
 
 LAMP = "AZIMUTH,ELEVATION[,size=DEGREES][,power=NUMBER][,colour=RRGGBB]"
+ENVIRONMENT = "FILE[,turn=DEGREES][,exposure=STOPS]"
 TEXTS = ("--light", "--source-light", "--landmarks")  # options whose value may begin with a minus
 DIGITS = 6  # most digits behind the point in a file name
 
 
 class Scene(NamedTuple):
-    """Lamps that shine together; azimuth and elevation in degrees of the first, which name the picture."""
+    """Lamps that shine together, or other lights; azimuth and elevation in degrees of the first, which name the
+    picture."""
 
-    lamps: tuple[Lamp, ...]
+    lamps: tuple[Lamp | LightMixture, ...]
     azimuth: float
     elevation: float
 
@@ -77,6 +88,32 @@ def parse_lamp(text: str, size: float = 5.0) -> Lamp:
         return Lamp(azimuth, elevation, values["size"], values["power"], colour)
     except ValueError as error:
         raise ValueError(f"light {text!r}: {error}") from None
+
+
+def parse_environment(text: str) -> LightMixture:
+    """The light of a map from ``FILE[,turn=DEGREES][,exposure=STOPS]``.
+
+    Raises:
+        ValueError: another text, or a file that is no map.
+    """
+    from facerelight.geometry.environment import environment_light
+    from facerelight.photo.files.environment_map import read_environment
+
+    values = {"turn": 0.0, "exposure": 0.0}
+    path, *named = text.split(",")
+    try:
+        for part in named:
+            name, value = part.split("=", 1)
+            if name.strip() not in values:
+                raise ValueError(name)
+            values[name.strip()] = float(value)
+    except ValueError:
+        raise ValueError(f"environment: expected {ENVIRONMENT}, got {text!r}") from None
+    radiance = read_environment(path)
+    try:
+        return environment_light(radiance, values["turn"], values["exposure"])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def parse_angles(text: str, name: str) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Where a photo's light comes from: kernel regression on images, the model's own likelihood, and amounts of many lights.
+"""Where a photo's light comes from: kernel regression, the model's own likelihood, and amounts of many lights.
 
 python scripts/evaluate/light.py --data yaleb_192x168.npz --pie pie10_55x44.npz --json light.json
 
