@@ -24,7 +24,7 @@ from facerelight.numerics.sampling import quasi_normal
 
 __all__ = ["SoftLightEstimator"]
 
-SPREAD, REACH, ROUGH = 3.0, 0.5, 0.05
+SPREAD, REACH, ROUGH = 2.0, 0.5, 0.05
 """Prior of the logarithms of amounts: standard deviation, distance over which they go together on the unit sphere, and
 the share of the variance that every direction has to itself."""
 TEMPER = 16.0  # pixels are not independent given the code
