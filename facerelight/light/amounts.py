@@ -108,16 +108,17 @@ class SoftLightEstimator(LightEstimator):
         precision[-1] = LEVEL**-2
         found = _coordinates(self.model.start(image).clamp_min(1e-12), prior)  # (B, n + 1)
         best = self._log_posterior(image, found, turn, precision)
+        moving = torch.ones_like(best, dtype=torch.bool)  # photograph by photograph: none disturbs another
         for _ in range(STEPS):
             amounts = (found @ turn.T).exp()
             slope, information = self.model.slope(image, amounts)
             slope = (amounts * slope) @ turn / TEMPER - precision * found
             rows = amounts[..., None] * turn  # (B, n, n + 1)
             curvature = gaussian.safe_cholesky(rows.mT @ information @ rows / TEMPER + torch.diag(precision))
-            step = torch.cholesky_solve(slope[..., None], curvature)[..., 0]
+            step = torch.cholesky_solve(slope[..., None], curvature)[..., 0] * moving[:, None]
             found, better = self._climb(image, found, step, best, turn, precision)
-            gained, best = better - best, better
-            if float(gained.max()) < SETTLED:
+            moving, best = moving & (better - best >= SETTLED), better
+            if not moving.any():
                 break
         amounts = (found @ turn.T).exp()
         _, information = self.model.slope(image, amounts)
