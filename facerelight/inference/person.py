@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
-from facerelight.model.brightness import Gain, read_gain
+from facerelight.model.brightness import Gain, read_gain, reading_noise
 from facerelight.model.covariance import (
     LightTerms,
     image_covariance,
@@ -103,16 +103,17 @@ class PersonPosterior:
         statistics, pixel = self.statistics, self.pixel
         terms = light_terms(statistics, pixel, lights, self.face)
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
-        known = read_gain(
-            images, terms.mean, float(statistics.gain_spread), terms.weights @ statistics.gain_noise, self.visible
-        )
+        loadings = None if self.face is None else loadings_at(self.face, terms)  # (K, k, P)
+        unsure = terms.weights @ statistics.gain_noise  # (K,)
+        if loadings is not None and self.visible is not None:
+            unsure = reading_noise(unsure, terms.mean, loadings, self.visible)
+        known = read_gain(images, terms.mean, float(statistics.gain_spread), unsure, self.visible)
         gain = known.value
         cholesky = gaussian.safe_cholesky(observed(covariance, noise.T / gain))  # (P, K, K)
         residual = torch.stack((images / gain - terms.mean, -terms.mean), -1).double().transpose(0, 1)  # (P, K, 2)
         whitened = gaussian.solve_lower(cholesky, residual)  # (P, K, 2): of the inputs, and of black ones
         inputs, code_black = None, None
-        if self.face is not None:
-            loadings = loadings_at(self.face, terms)  # (K, k, P)
+        if self.face is not None and loadings is not None:
             inputs = gaussian.solve_lower(cholesky, loadings.permute(2, 0, 1).double())  # (P, K, k)
             # (k, 2), (k, k)
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
