@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.inference.person import edges
 from facerelight.inference.posterior import Relit
 from facerelight.model.brightness import read_gain
 from facerelight.model.covariance import deviation_covariance, light_terms, observed
@@ -71,14 +72,24 @@ class MaximumLikelihood:
         self._left = white - self._design @ self.normal
 
     def render(self, target: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance ``(P,)`` under one light ``(3,)``, noise and what is not known of the gain counted.
+        """Mean and variance ``(P,)`` under one light ``(3,)``, noise and what is not known of the gain counted; behind
+        the face the variance is not below that at the edges.
 
         The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
         input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
         """
+        target = unit_lights(target)
+        mean, variance = self._render(target)
+        if target[2] < 0:
+            new = 1 - self.statistics.nugget(target[None], self.lights).amax().double()
+            for edge, share in edges(target):
+                variance = torch.maximum(variance, share * new * self._render(edge)[1])
+        return mean, variance
+
+    def _render(self, target: Tensor) -> tuple[Tensor, Tensor]:
         statistics, pixel = self.statistics, self.statistics.pixel
         assert pixel is not None
-        target = unit_lights(target)[None]
+        target = target[None]
         terms = light_terms(statistics, pixel, target)
         shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
         cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r

@@ -25,7 +25,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.mixture import mixture_mode
 
-__all__ = ["Components", "PersonPosterior"]
+__all__ = ["Components", "PersonPosterior", "edges"]
 
 NEAR = 1e-3  # kernel values below this move a pixel by less than a tenth of a grey level
 PIXELS_AT_ONCE = 1024
@@ -215,12 +215,19 @@ class PersonPosterior:
     def variance(self, targets: Tensor) -> Tensor:
         """Variance under ``targets (Q, 3)``, ``(Q, P)``: the mean of the hypotheses' variances plus the variance of
         their means."""
-        rows = []
-        for target in targets:
-            mean, variance, weight = self.components(target)
-            between = weight @ (mean - weight @ mean).square() if len(weight) > 1 else 0
-            rows.append((weight @ variance + between).to(target))
-        return torch.stack(rows)
+        return torch.stack([self._variance(target).to(target) for target in targets])
+
+    def _variance(self, target: Tensor) -> Tensor:
+        """Under one ``target (3,)``, ``(P,)``; behind the face not below that at the edges, hypotheses together."""
+        mean, variance, weight = self.components(target)
+        if len(weight) == 1:
+            return variance[0]
+        variance = weight @ variance + weight @ (mean - weight @ mean).square()
+        if target[2] < 0:
+            new = 1 - weight @ self._meeting(target)
+            for edge, share in edges(target):
+                variance = torch.maximum(variance, share * new * self._variance(edge))
+        return variance
 
     def mode(self, targets: Tensor) -> Tensor:
         """The most probable grey level under ``targets (Q, 3)`` (Algorithm 1, evaluated exactly), ``(Q, P)``; one
@@ -240,7 +247,7 @@ class PersonPosterior:
             return found
         new = 1 - self._meeting(target)  # (M,)
         variance = found.variance
-        for edge, share in _edges(target):
+        for edge, share in edges(target):
             variance = torch.maximum(variance, share * new[:, None] * self._components(edge).variance)
         return found._replace(variance=variance)
 
@@ -287,7 +294,7 @@ class PersonPosterior:
         return meeting
 
 
-def _edges(target: Tensor) -> list[tuple[Tensor, float]]:
+def edges(target: Tensor) -> list[tuple[Tensor, float]]:
     """Lights of the image plane about a ``target (3,)`` behind it, and how much each counts: the nearest fully, the
     others the more, the nearer the target is to the axis, where all are alike."""
     away = torch.nn.functional.pad(target[:2], (0, 1))
