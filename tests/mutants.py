@@ -111,7 +111,7 @@ MUTANTS = (
         PERSON,
         "share * new[:, None] * self._components(edge).variance",
         "0 * new[:, None]",
-        "test_hard_cases.py -k behind",
+        "test_hard_cases.py -k pixel-float32-lights-in-the",
     ),
     Mutant(
         "errors of lights together",
