@@ -159,8 +159,8 @@ MUTANTS = (
     Mutant(
         "noise of a dim photograph",
         "photo/face_model.py",
-        "luminance / strength * quotient, quotient / strength)",
-        "luminance / strength * quotient, quotient)",
+        "scale * math.hypot(self.relighter.noise, MISFIT)",
+        "torch.ones_like(scale) * math.hypot(self.relighter.noise, MISFIT)",
         "photo/test_face_model.py",
     ),
     Mutant(

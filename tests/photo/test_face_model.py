@@ -9,7 +9,7 @@ from facerelight.geometry.alignment import CropFrame
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
 from facerelight.photo.face_mask import face_mask
-from facerelight.photo.face_model import FaceModel
+from facerelight.photo.face_model import MISFIT, FaceModel
 
 TINT = torch.tensor([1.25, 0.95, 0.75])[:, None, None]
 CAMERA, SIDE = np.array([[0.0, 0.0, 1.0]]), np.array([[0.6, 0.1, 0.79]])
@@ -37,16 +37,17 @@ def test_everything_goes_with_exposure(statistics: FaceStatistics, people: torch
     """Half the light and half the noise: half the radiance and half its standard deviation. Twice the noise: more of
     it."""
     whole, half, noisy = (
-        FaceModel(StatisticalRelighter(statistics, "face", noise=noise), [crop_of(people, strength)])
-        for strength, noise in ((0.8, 2.0), (0.4, 1.0), (0.8, 8.0))
+        FaceModel(
+            StatisticalRelighter(statistics, "face", noise=(errors**2 - MISFIT**2) ** 0.5), [crop_of(people, strength)]
+        )
+        for strength, errors in ((0.8, 10.0), (0.4, 5.0), (0.8, 20.0))  # grey levels in all
     )
     assert np.allclose(half.radiance(SIDE), 0.5 * whole.radiance(SIDE), atol=1e-4)
     assert np.allclose(half.std(SIDE[0]), 0.5 * whole.std(SIDE[0]), rtol=2e-2, atol=1e-5)
     assert half.exposure == pytest.approx(0.5 * whole.exposure, rel=1e-3)
-    # 8 grey levels of a recorded image are so many on every relit one, where lamps are as bright
-    level = float((noisy.std(SIDE[0]) ** 2 - whole.std(SIDE[0]) ** 2).mean()) ** 0.5 * 255
-    scale = noisy.exposure / float(noisy.light.weights[:, 0].sum()) / noisy.exposure
-    assert level > 0.5 * 8 * scale
+    # a relit image holds as much, where lamps are as strong as the photograph's
+    more = float((noisy.std(SIDE[0]) ** 2 - whole.std(SIDE[0]) ** 2).mean()) ** 0.5 * 255
+    assert more > 0.5 * (20.0**2 - 10.0**2) ** 0.5 / float(noisy.light.weights[:, 0].sum())
 
 
 def test_the_photographs_light_gives_the_photograph(statistics: FaceStatistics, people: torch.Tensor) -> None:
