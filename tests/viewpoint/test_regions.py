@@ -113,7 +113,8 @@ def test_groups_equal_a_slow_reference(views: LightViews, people: torch.Tensor, 
 def test_groups_are_consistent(
     views: LightViews, samples: torch.Tensor, people: torch.Tensor, lights: torch.Tensor, kind: str
 ) -> None:
-    relighter = GroupRelighter(views, make_regions(group_by_correlation(samples, 5)), kind, noise=0)  # type: ignore[arg-type]
+    regions = make_regions(group_by_correlation(samples, 5))
+    relighter = GroupRelighter(views, regions, kind, noise=0)  # type: ignore[arg-type]
     out = relighter(people[13:14, :2], lights[:2], lights[1])
     assert (out.mean - people[13, 1]).abs().max() < 0.5 / 255
     assert out.variance.max() < 1e-6
