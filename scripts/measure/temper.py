@@ -3,7 +3,7 @@
 python scripts/measure/temper.py --csv
 
 For each size and temper the error of held-out heads, and how many percent of their pixels lie in the 95 % interval: one
-image of known light, brightness an unknown, five lights as targets. The smaller images are means over the pixels
+image of known light, brightness an unknown, eleven lights as targets. The smaller images are means over the pixels
 of the largest.
 """
 
@@ -19,14 +19,14 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
 SOURCES = [(0.0, 0.0), (70.0, 0.0)]
-TEMPERS = (6.25, 25.0, 100.0, 400.0)
+TEMPERS = (1.0, 6.25, 25.0, 100.0, 400.0, 1600.0)
 REACH = 1.96
 
 
 def main() -> None:
     parser = ScriptParser(__file__, __doc__)
-    parser.add_argument("--heads", type=int, default=64)
-    parser.add_argument("--people", type=int, default=12, help="held-out heads")
+    parser.add_argument("--heads", type=int, default=60)
+    parser.add_argument("--people", type=int, default=16, help="held-out heads")
     parser.add_size(96, 84)
     parser.add_argument("--scales", type=float, nargs="+", default=[0.25, 0.5, 1.0], help="of the size")
     parser.add_results("csv")
@@ -39,7 +39,6 @@ def main() -> None:
         width=args.width,
         margin=0.0,
         supersample=1,
-        lights=40,
     )
     largest, lights = make_dataset(config).images(), config.directions()
     largest = ((largest.clamp(0, 1) * 255).round()) / 255
@@ -55,7 +54,7 @@ def main() -> None:
             statistics.face.temper.fill_(temper)
             row: dict[str, object] = {"size": f"{size[0]} x {size[1]}", "temper": temper}
             for source, name in zip(sources, ("front", "side"), strict=True):
-                others = [light for light in range(0, len(lights), 8) if light != source]
+                others = [light for light in range(0, len(lights), 6) if light != source]
                 made = relighter.condition(images[args.heads :, source : source + 1], lights[source][None])
                 mean, variance = made.render(lights[others])
                 away = mean - images[args.heads :, others]
