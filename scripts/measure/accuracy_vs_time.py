@@ -286,7 +286,7 @@ def by_resolution(scale: float) -> Maker:
             coarse,
             world.lights,
             world.valid,
-            replace(DEFAULT_CONFIG.fit, temper=max(1.0, DEFAULT_CONFIG.fit.temper * scale**2)),
+            DEFAULT_CONFIG.fit,
         )
         relighter = StatisticalRelighter(learned, "face")
 
