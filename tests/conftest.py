@@ -38,7 +38,7 @@ def people(lights: torch.Tensor) -> torch.Tensor:
 
 @pytest.fixture(scope="session")
 def statistics(people: torch.Tensor, lights: torch.Tensor) -> FaceStatistics:
-    return FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, temper=160.0, basis=12)
+    return FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, temper=10.0, basis=12)
 
 
 @pytest.fixture(scope="session")

@@ -28,11 +28,10 @@ from facerelight.model.subjects import (
 from facerelight.numerics import gaussian
 from facerelight.numerics.kernels import neighbour_widths
 
-__all__ = ["FitOptions", "Learned", "LearnedFace", "LearnedPixel", "learn", "pixels_as_one"]
+__all__ = ["FitOptions", "Learned", "LearnedFace", "LearnedPixel", "learn"]
 
 BLOCK_VALUES = 1_000_000  # images of all subjects in one block of pixels, 4 MB
 GAP_SHRINK = 0.8  # leaving a light out widens the gap around it, and with it the best kernel
-TEMPER_PIXELS = 96 * 84
 WIDTH_FACTORS = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 1.0)  # kernel widths tried, in light spacings
 
 
@@ -45,8 +44,9 @@ class FitOptions:
             %).
         face_rank: loadings of the whole-face model; 0 leaves it out.
         basis: functions over the lights that the loadings of v share.
-        temper: how many pixels of a 96 x 84 image count as one independent observation of the whole-face code; of
-            other sizes in proportion, see :func:`pixels_as_one`.
+        temper: how many pixels count as one independent observation of the whole-face code. What neighbours share is a
+            matter of faces, not of how finely they are sampled: 100 suits faces of 96 x 84 pixels, and other sizes in
+            proportion to their pixels (``scripts/measure/temper.py``).
         brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of
             its own, ``i = g (n^T s + v)``; False is the thesis's model.
         kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.
@@ -71,12 +71,6 @@ class FitOptions:
         widths = self.nugget_width > 0 and (self.kernel_width is None or self.kernel_width > 0)
         if not (self.temper >= 1 and widths and self.floor > 0):
             raise ValueError(f"statistics: expected temper >= 1 and widths, floor > 0, got {self}")
-
-
-def pixels_as_one(temper: float, pixels: int) -> float:
-    """How many of an image's ``pixels`` count as one observation, where ``temper`` do of a 96 x 84 image: what
-    neighbours share is a matter of faces, not of how finely they are sampled. No pixel counts for more than one."""
-    return max(1.0, temper * pixels / TEMPER_PIXELS)
 
 
 class LearnedPixel(NamedTuple):

@@ -18,7 +18,7 @@ from facerelight.geometry.lights import angular_distance, merge_repeats, unit_li
 from facerelight.model.compression import checksum
 from facerelight.model.file import KEY_LENGTH, read_tensors, write_tensors
 from facerelight.model.image_store import ImageStore
-from facerelight.model.learning import FitOptions, learn, pixels_as_one
+from facerelight.model.learning import FitOptions, learn
 from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_radiance, check_shape, check_unit, check_valid
 from facerelight.numerics.kernels import kernel_weights
@@ -205,7 +205,7 @@ class FaceStatistics(LearnedModule):
         if learned.face is not None:
             face = learned.face
             residual = PixelStatistics(*face.residual)
-            temper = torch.tensor(pixels_as_one(self.options.temper, self.n_mean[0].numel()))
+            temper = torch.tensor(self.options.temper)
             self.face = FaceLoadings(face.n, face.v, learned.basis, face.v_power, temper, residual)
         return self.to(self.lights)  # learned in float32 beside the images
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from facerelight.geometry.lights import light_from_angles, nearest_lights
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.model.learning import FitOptions, pixels_as_one
+from facerelight.model.learning import FitOptions
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.checks import check_radiance, check_valid
 
@@ -76,7 +76,7 @@ def choose_face_options(
             relighter = StatisticalRelighter(statistics, "face")
             assert statistics.face is not None
             for temper in tempers:
-                statistics.face.temper.fill_(pixels_as_one(temper, images[0, 0].numel()))
+                statistics.face.temper.fill_(temper)
                 for person, kept in zip(images[out], there[out], strict=True):
                     found = [_error(relighter, person, lights, kept, source) for source in sources]
                     totals.setdefault((rank, temper), []).extend(error for error in found if error is not None)

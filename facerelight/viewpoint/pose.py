@@ -23,7 +23,6 @@ from torch import Tensor
 from facerelight.config import TrainConfig, cache_folder
 from facerelight.geometry.lights import light_from_angles
 from facerelight.model.file import replacing
-from facerelight.model.learning import pixels_as_one
 from facerelight.numerics import gaussian
 from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
 from facerelight.viewpoint.views import ViewFields, ViewSource, noise_in_radiance
@@ -126,7 +125,7 @@ class ViewRelighter:
     Args:
         source: what the bootstrap's people look like under views.
         rank: of the code; 0 treats every pixel on its own, as the thesis does.
-        temper: how many pixels of a 96 x 84 image count as one independent observation of the code.
+        temper: how many pixels count as one independent observation of the code.
         noise: standard deviation of what an input holds besides the face, in grey levels of 255; 0: inputs are returned
             exactly (Theorem 3).
     """
@@ -134,8 +133,7 @@ class ViewRelighter:
     def __init__(self, source: ViewSource, rank: int = 40, temper: float = 100.0, noise: float = 1.0) -> None:
         if rank < 0 or temper < 1:
             raise ValueError(f"views: expected rank >= 0 and temper >= 1, got {rank} and {temper}")
-        self.source, self.rank, self.noise = source, rank, noise_in_radiance(noise)
-        self.temper = pixels_as_one(temper, source.size[0] * source.size[1])
+        self.source, self.rank, self.temper, self.noise = source, rank, temper, noise_in_radiance(noise)
 
     def __call__(
         self,

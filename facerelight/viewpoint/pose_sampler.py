@@ -10,7 +10,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.model.learning import pixels_as_one
 from facerelight.numerics.checks import check_radiance
 from facerelight.numerics.sampling import quasi_normal
 from facerelight.viewpoint.pose import View
@@ -85,8 +84,7 @@ class PoseSampler:
         if not len(candidates):
             raise ValueError("candidates: expected one view or more, got none; try views_about")
         self.source, self.candidates = source, list(candidates)
-        self.rank, self.noise = rank, noise_in_radiance(noise)
-        self.temper = pixels_as_one(temper, source.size[0] * source.size[1])
+        self.rank, self.temper, self.noise = rank, temper, noise_in_radiance(noise)
 
     def locate(self, images: Tensor) -> PoseBelief:
         """The posterior over the candidates, image by image."""

@@ -286,7 +286,7 @@ def by_resolution(scale: float) -> Maker:
             coarse,
             world.lights,
             world.valid,
-            DEFAULT_CONFIG.fit,
+            replace(DEFAULT_CONFIG.fit, temper=max(1.0, DEFAULT_CONFIG.fit.temper * scale**2)),
         )
         relighter = StatisticalRelighter(learned, "face")
 

@@ -1,4 +1,4 @@
-"""How many pixels should count as one observation of the whole face, at several sizes of the same heads.
+"""How much one pixel's evidence about the whole face should count at several sizes of the same heads.
 
 python scripts/measure/temper.py --csv
 

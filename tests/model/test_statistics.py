@@ -5,9 +5,7 @@ import torch
 from safetensors.torch import save_file
 
 from facerelight.geometry.lights import thesis_grid
-from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.image_store import ImageStore
-from facerelight.model.learning import pixels_as_one
 from facerelight.model.statistics import FaceStatistics
 
 
@@ -127,20 +125,3 @@ def test_brightness_is_taken_out_and_put_back(people: torch.Tensor, lights: torc
     assert abs(float(statistics.gain_spread) - float(factors.log().std())) < 0.01
     out = StatisticalRelighter(statistics)(people[:1, :1] * 0.9, lights[9:10], source_lights=lights[:1])
     assert torch.allclose(out.mean[0], people[0, 9:10] * 0.9, atol=0.02)
-
-
-def test_what_pixels_tell_of_the_face_does_not_depend_on_their_number(
-    people: torch.Tensor, lights: torch.Tensor
-) -> None:
-    """Images with every pixel four times over hold nothing new: the same code, the same picture, the same variance."""
-    finer = people.repeat_interleave(2, 2).repeat_interleave(2, 3)
-    made = []
-    for images in (people, finer):
-        learned = FaceStatistics.fit(images[:12], lights, rank=6, face_rank=5, temper=160.0, basis=12, brightness=True)
-        posterior = StatisticalRelighter(learned, "face").condition(images[13:14, :1], lights[:1])
-        made.append((posterior.code(), *posterior.render(lights[9:10])))
-    assert torch.allclose(made[1][0], made[0][0], atol=1e-3)
-    for coarse, fine in zip(made[0][1:], made[1][1:], strict=True):
-        assert torch.allclose(fine[..., ::2, ::2], coarse, rtol=1e-3, atol=1e-5)
-    assert pixels_as_one(100.0, 96 * 84) == 100
-    assert pixels_as_one(100.0, 4) == 1
