@@ -72,9 +72,9 @@ MUTANTS = (
     ),
     Mutant(
         "evidence of a view",
-        "viewpoint/pose.py",
-        "- 2 * self.temper * spread",
-        "+ 2 * self.temper * spread",
+        "viewpoint/whole_face.py",
+        "- 2 * temper * spread",
+        "+ 2 * temper * spread",
         "viewpoint/test_evidence.py",
     ),
     Mutant("temper of a person's code", PERSON, "float(self.face.temper)", "1.0", VARIANCE),
