@@ -74,12 +74,13 @@ def test_a_mirrored_world_gives_the_mirrored_answer(covariance: str) -> None:
 @settings(max_examples=8, deadline=None)
 @given(scale=st.floats(0.1, 8.0))
 def test_a_brighter_world_gives_a_brighter_answer(people: torch.Tensor, lights: torch.Tensor, scale: float) -> None:
-    """Statistics and input scaled alike scale the output (the floor of the deviation scaled with them)."""
+    """Statistics and input scaled alike scale the output (the deviation's floor and the noise with them)."""
     options = {"rank": 6, "face_rank": 3, "basis": 12}
     plain = FaceStatistics.fit(people[:12], lights, floor=2e-3, **options)
     bright = FaceStatistics.fit(people[:12] * scale, lights, floor=2e-3 * scale, **options)
-    a = StatisticalRelighter(plain, "face", noise=0)(people[12:13, :1], lights[9:10], source_lights=lights[:1])
-    b = StatisticalRelighter(bright, "face", noise=0)(people[12:13, :1] * scale, lights[9:10], source_lights=lights[:1])
+    image, targets = people[12:13, :1], lights[[0, 9]]
+    a = StatisticalRelighter(plain, "face")(image, targets, source_lights=lights[:1])
+    b = StatisticalRelighter(bright, "face", noise=scale)(image * scale, targets, source_lights=lights[:1])
     assert torch.allclose(b.mean, scale * a.mean, atol=2e-4 * scale)
     assert torch.allclose(b.variance, scale**2 * a.variance, atol=1e-5 * scale**2)
 

@@ -18,6 +18,7 @@ __all__ = ["AROUND", "Relief", "Surface", "view_surface"]
 # Cells along each side of the light map; the relief that bounds occlusion is the part with the head in it.
 RELIEF_SIZE = 256
 AROUND = np.ones((5, 5), np.uint8)  # rounding of places to cells, and the soft edge of a shadow
+STEEP = 100.0  # a rise that stands for a wall
 CLIFF = 2.5  # relief steeper than this may be hidden in part by its own edge, whatever the light's direction
 
 
@@ -97,9 +98,42 @@ def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
             for axis in (pad(along_x, (0, 1)), pad(along_y, (0, 0, 0, 1)))
             for sign in (1, -1)
         ]
-    )
+    ).numpy()
+    # What is thinner than a texel the pass may have missed, but not the edges of its triangles.
+    points, climb = _edge_points(head, step / 2)
+    column, row = points[:, 0] / step + RELIEF_SIZE // 2 - left, RELIEF_SIZE // 2 - points[:, 1] / step - top
+    rows, columns = highest.shape
+    seen = fine.numpy()
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    points, climb, column, row = points[inside], climb[:, inside], column[inside], row[inside]
+    below = seen[(row * factor).astype(int), (column * factor).astype(int)]
+    upper = points[:, 2] > below - CLIFF * texel
+    cell = row[upper].astype(int), column[upper].astype(int)
+    edges_of_cells = np.full_like(highest, -np.inf)
+    np.maximum.at(edges_of_cells, cell, points[upper, 2])
+    highest = np.maximum(highest, cv2.dilate(edges_of_cells, AROUND))
+    for of_direction, values in zip(slope, climb, strict=True):
+        np.maximum.at(of_direction, cell, values[upper])
     radius = int(torch.linalg.vector_norm(position[:, :2], dim=1).max() / step) + 2
-    cliff = torch.hypot(slope[:2].amax(0), slope[2:].amax(0)) > CLIFF
-    return Relief(
-        highest, slope.numpy(), cliff.numpy(), step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius
-    )
+    cliff = np.hypot(slope[:2].max(0), slope[2:].max(0)) > CLIFF
+    return Relief(highest, slope, cliff, step, (RELIEF_SIZE / 2 - left - 0.5, RELIEF_SIZE / 2 - top - 0.5), radius)
+
+
+def _edge_points(head: Head, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the edges of a head's triangles, no farther apart than ``spacing`` as the camera sees them, ``(S, 3)``,
+    and how steeply their triangles rise there towards +x, -x, +y and -y, ``(4, S)``; the rim of an open mesh is a
+    cliff."""
+    corners = head.triangles[:, [[0, 1], [1, 2], [2, 0]]]  # (T, 3, 2)
+    a, b, c = (head.vertices[head.triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    level = np.maximum(np.abs(normal[:, 2]), np.linalg.norm(normal, axis=1) / STEEP).clip(1e-30)
+    rise = -normal[:, :2] * np.sign(normal[:, 2:] + 1e-300) / level[:, None]  # (T, 2)
+    climb = np.stack((rise[:, 0], -rise[:, 0], rise[:, 1], -rise[:, 1])).repeat(3, 1)  # (4, E)
+    edges = np.sort(corners.reshape(-1, 2), 1)
+    _, which, count = np.unique(edges[:, 0] * len(head.vertices) + edges[:, 1], return_inverse=True, return_counts=True)
+    climb = np.where(count[which.ravel()] == 1, STEEP, climb)
+    start, along = head.vertices[edges[:, 0]], head.vertices[edges[:, 1]] - head.vertices[edges[:, 0]]
+    steps = np.ceil(np.linalg.norm(along[:, :2], axis=1) / spacing).astype(int) + 1  # (E,)
+    edge = np.arange(len(edges)).repeat(steps)
+    part = (np.arange(len(edge)) - (steps.cumsum() - steps).repeat(steps)) / np.maximum(steps - 1, 1).repeat(steps)
+    return (start[edge] + part[:, None] * along[edge]).astype(np.float32), climb[:, edge].astype(np.float32)

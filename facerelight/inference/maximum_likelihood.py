@@ -8,9 +8,17 @@ from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
+from facerelight.inference.person import edges, is_behind
 from facerelight.inference.posterior import Relit
 from facerelight.model.brightness import read_gain
-from facerelight.model.covariance import deviation_covariance, gain_noise, light_terms, observed
+from facerelight.model.covariance import (
+    LightTerms,
+    deviation_covariance,
+    gain_noise,
+    light_terms,
+    observed,
+    same_light,
+)
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 
@@ -43,7 +51,7 @@ class MaximumLikelihood:
         mask: Tensor | None = None,
     ) -> None:
         assert statistics.pixel is not None
-        self.statistics = statistics
+        self.statistics, self._pixel = statistics, statistics.pixel
         self.terms = light_terms(statistics, statistics.pixel, _lights(lights))
         self.lights = self.terms.light
         singular = torch.linalg.svdvals(torch.nn.functional.normalize(self.lights.double(), dim=1))
@@ -74,14 +82,23 @@ class MaximumLikelihood:
 
     def render(self, target: Tensor | LightSum) -> tuple[Tensor, Tensor]:
         """Mean and variance ``(P,)`` under one light, ``(3,)`` or amounts ``(n,)``, noise and what is not known of the
-        gain counted.
+        gain counted; behind the face the variance is not below that at the edges.
 
         The thesis's (3.23) for the variance drops a correlation; this is the kriging form, zero where the target is an
         input light: ``d^T (S Sigma_v^-1 S^T)^-1 d + sigma_0^2 - r^T Sigma_v^-1 r`` with ``d = s_0 - S Sigma_v^-1 r``.
         """
-        statistics, pixel = self.statistics, self.statistics.pixel
-        assert pixel is not None
-        terms = light_terms(statistics, pixel, _lights(target).insert(0))
+        light = _lights(target).insert(0)
+        terms = light_terms(self.statistics, self._pixel, light)
+        mean, variance = self._render(terms)
+        if is_behind(light):
+            new = 1 - same_light(self.statistics, terms, self.terms).amax()
+            for edge in edges(light):
+                at_edge = self._render(light_terms(self.statistics, self._pixel, edge))[1]
+                variance = torch.maximum(variance, new * at_edge)
+        return mean, variance
+
+    def _render(self, terms: LightTerms) -> tuple[Tensor, Tensor]:
+        statistics, pixel = self.statistics, self._pixel
         shared = deviation_covariance(statistics, pixel, self.terms, terms)  # r, (P, K, 1)
         cross = gaussian.solve_lower(self.factor, shared)  # L^-1 r
         average = (terms.weights @ statistics.v_mean.flatten(1)).double()[0]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
-from facerelight.model.brightness import Gain, read_gain
+from facerelight.model.brightness import Gain, read_gain, reading_noise
 from facerelight.model.covariance import (
     DirectionTerms,
     LightTerms,
@@ -33,7 +33,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.mixture import mixture_mode
 
-__all__ = ["Components", "PersonPosterior"]
+__all__ = ["Components", "PersonPosterior", "edges", "is_behind"]
 
 NEAR = 1e-3  # kernel values below this move a pixel by less than a tenth of a grey level
 PIXELS_AT_ONCE = 1024
@@ -133,16 +133,17 @@ class PersonPosterior:
     def _add(self, images: Tensor, terms: LightTerms, noise: Tensor, of_all: float) -> None:
         statistics, pixel = self.statistics, self.pixel
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
-        known = read_gain(
-            images, terms.mean, float(statistics.gain_spread), gain_noise(statistics, terms), self.visible
-        )
+        loadings = None if self.face is None else loadings_at(self.face, terms)  # (K, k, P)
+        unsure = gain_noise(statistics, terms)  # (K,)
+        if loadings is not None and self.visible is not None:
+            unsure = reading_noise(unsure, terms.mean, loadings, self.visible)
+        known = read_gain(images, terms.mean, float(statistics.gain_spread), unsure, self.visible)
         gain = known.value
         cholesky = gaussian.safe_cholesky(observed(covariance, noise.T / gain))  # (P, K, K)
         residual = torch.stack((images / gain - terms.mean, -terms.mean), -1).double().transpose(0, 1)  # (P, K, 2)
         whitened = gaussian.solve_lower(cholesky, residual)  # (P, K, 2): of the inputs, and of black ones
         inputs, code_black = None, None
-        if self.face is not None:
-            loadings = loadings_at(self.face, terms)  # (K, k, P)
+        if self.face is not None and loadings is not None:
             inputs = gaussian.solve_lower(cholesky, loadings.permute(2, 0, 1).double())  # (P, K, k)
             # (k, 2), (k, k)
             code, spread = gaussian.low_rank_code(inputs, whitened, float(self.face.temper), self.visible)
@@ -262,12 +263,21 @@ class PersonPosterior:
     def variance(self, targets: Tensor | LightSum) -> Tensor:
         """Variance under ``targets``, as for :meth:`mean`, ``(Q, P)``: the mean of the hypotheses' variances plus the
         variance of their means."""
-        rows = []
-        for target in _one_by_one(targets):
-            mean, variance, weight = self.components(target)
-            between = weight @ (mean - weight @ mean).square() if len(weight) > 1 else 0
-            rows.append((weight @ variance + between).to(target.amounts))
-        return torch.stack(rows)
+        return torch.stack([self._variance(target).to(target.amounts) for target in _one_by_one(targets)])
+
+    def _variance(self, target: LightSum) -> Tensor:
+        """Under one light, amounts ``(n,)``, ``(P,)``; behind the face not below that at the edges, hypotheses
+        together."""
+        mean, variance, weight = self.components(target)
+        if len(weight) == 1:
+            return variance[0]
+        variance = weight @ variance + weight @ (mean - weight @ mean).square()
+        light = target.insert(0)
+        if is_behind(light):
+            new = 1 - weight @ self._meeting(light_terms(self.statistics, self.pixel, light, self.face))
+            for edge in edges(light):
+                variance = torch.maximum(variance, new * self._variance(edge[0]))
+        return variance
 
     def mode(self, targets: Tensor | LightSum) -> Tensor:
         """The most probable grey level under ``targets``, as for :meth:`mean` (Algorithm 1, evaluated exactly),
@@ -286,11 +296,11 @@ class PersonPosterior:
         light = (LightSum.single(target) if isinstance(target, Tensor) else target).insert(0)
         terms = light_terms(self.statistics, self.pixel, light, self.face)
         found = self._components(terms)
-        if not (light.amounts * light.directions[..., 2] < 0).any():
+        if not is_behind(light):
             return found
         new = 1 - self._meeting(terms)  # (M,)
         variance = found.variance
-        for edge in _edges(light):
+        for edge in edges(light):
             at_edge = light_terms(self.statistics, self.pixel, edge, self.face)
             variance = torch.maximum(variance, new[:, None] * self._components(at_edge).variance)
         return found._replace(variance=variance)
@@ -342,7 +352,12 @@ def _one_by_one(targets: Tensor | LightSum) -> list[LightSum]:
     return [lights[index] for index in range(len(lights.amounts))]
 
 
-def _edges(light: LightSum) -> list[LightSum]:
+def is_behind(light: LightSum) -> bool:
+    """Whether any of a light's directions that give light is behind the face."""
+    return bool((light.amounts * light.directions[..., 2] < 0).any())
+
+
+def edges(light: LightSum) -> list[LightSum]:
     """A ``light`` with amounts ``(1, n)``, what of it is behind the face brought to the image plane: to the nearest
     side fully, to the others the more, the nearer it is to the axis, where all are alike."""
     behind = light.directions[..., 2] < 0
@@ -351,10 +366,10 @@ def _edges(light: LightSum) -> list[LightSum]:
     away = torch.where(length < 1e-6, away.new_tensor((1.0, 0.0, 0.0)), away / length.clamp_min(1e-6))
     side = torch.stack((-away[..., 1], away[..., 0], away[..., 2]), -1)
     depth = light.directions[..., 2].neg().clamp_min(0).sqrt()
-    edges = ((away, torch.ones_like(depth)), (-away, depth), (side, depth), (-side, depth))
+    sides = ((away, torch.ones_like(depth)), (-away, depth), (side, depth), (-side, depth))
     return [
         LightSum(
             torch.where(behind[..., None], edge, light.directions), torch.where(behind, share, 1.0) * light.amounts
         )
-        for edge, share in edges
+        for edge, share in sides
     ]

@@ -87,7 +87,7 @@ class StatisticalRelighter(nn.Module):
         generator: torch.Generator | None = None,
         mask: Tensor | None = None,
         register: bool = False,
-        scale: Tensor | None = None,
+        noise: Tensor | None = None,
     ) -> Posterior:
         """The expensive half, once: what is known of each person after seeing the images.
 
@@ -106,8 +106,8 @@ class StatisticalRelighter(nn.Module):
                 None: everywhere.
             register: find where each face lies beside the model's, and render it there; for statistics of real, aligned
                 faces (:func:`facerelight.model.registration.align_people`) and landmarks that are not exact.
-            scale: what a recorded grey level was multiplied by on the way to ``images``, ``(B, K)`` or
-                ``(B, K, H, W)``: noise is as much larger. None: 1.
+            noise: standard deviation of what the images hold besides the face, radiance, ``(B, K)`` or
+                ``(B, K, H, W)``: larger where they were made brighter on the way here. None: the module's own.
 
         Raises:
             ValueError: shapes or values out of range.
@@ -116,7 +116,7 @@ class StatisticalRelighter(nn.Module):
         if mask is not None:
             mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
         hypotheses = self._hypotheses(images, source_lights, estimator or self.estimator, draws, generator, mask)
-        noise = self._input_noise(images, scale)  # (B, K, 1) or (B, K, P)
+        noise = self._input_noise(images, noise)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
             deformations, images, mask = self._registered(images, hypotheses, mask, noise)
@@ -203,16 +203,16 @@ class StatisticalRelighter(nn.Module):
             kept[:] = [LikelihoodIlluminationEstimator(self.statistics).to(here)]
         return kept[0]
 
-    def _input_noise(self, images: Tensor, scale: Tensor | None) -> Tensor:
+    def _input_noise(self, images: Tensor, noise: Tensor | None) -> Tensor:
         """Standard deviation of the noise of ``images (B, K, H, W)``, radiance, ``(B, K, 1)`` or ``(B, K, P)``."""
-        if scale is None:
+        if noise is None:
             return images.new_full((*images.shape[:2], 1), self.noise / 255, dtype=torch.float64)
-        if tuple(scale.shape) not in (tuple(images.shape[:2]), tuple(images.shape)) or not (scale >= 0).all():
+        if tuple(noise.shape) not in (tuple(images.shape[:2]), tuple(images.shape)) or not (noise >= 0).all():
             raise ValueError(
-                f"scale: expected factors of 0 or more, {tuple(images.shape[:2])} or {tuple(images.shape)},"
-                f" got {tuple(scale.shape)}; give what each image was multiplied by"
+                f"noise: expected radiance of 0 or more, {tuple(images.shape[:2])} or {tuple(images.shape)},"
+                f" got {tuple(noise.shape)}; give a standard deviation for each image, or for each pixel"
             )
-        return self.noise / 255 * scale.to(images.device).double().reshape(*images.shape[:2], -1)
+        return noise.to(images.device).double().reshape(*images.shape[:2], -1)
 
     def _registered(
         self, images: Tensor, hypotheses: LightSum, mask: Tensor | None, noise: Tensor

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Gain", "read_gain"]
+__all__ = ["Gain", "read_gain", "reading_noise"]
 
 LEAST_READ = 1e-3
 
@@ -40,3 +40,23 @@ def read_gain(images: Tensor, expected: Tensor, spread: float, noise: Tensor, we
     trust = 1 / noise.double().square()
     precision = 1 / spread**2 + trust.sum()
     return Gain(torch.exp((read * trust).sum() / precision), precision.rsqrt())
+
+
+def reading_noise(noise: Tensor, expected: Tensor, loadings: Tensor, weight: Tensor) -> Tensor:
+    """How unsure a gain is that is read off a part of the face, ``(K,)``, of its logarithm.
+
+    A reading errs with what people differ in besides brightness. A part of the face averages less of that out than the
+    whole, by as much as the whole-face loadings tell.
+
+    Args:
+        noise: ``(K,)``, of a gain read off whole images.
+        expected: ``(K, P)``, the average face under the images' lights.
+        loadings: ``(K, k, P)`` there.
+        weight: ``(P,)``, how much each pixel counts.
+    """
+
+    def deviation(counted: Tensor) -> Tensor:  # counted (K, P), of the least-squares reading
+        reading = counted / (counted * expected).sum(1, keepdim=True).clamp_min(1e-12)
+        return (loadings @ reading[..., None])[..., 0].norm(dim=1)
+
+    return noise * deviation(expected * weight.to(expected)) / deviation(expected).clamp_min(1e-6)

@@ -44,7 +44,9 @@ class FitOptions:
             %).
         face_rank: loadings of the whole-face model; 0 leaves it out.
         basis: functions over the lights that the loadings of v share.
-        temper: how many pixels count as one independent observation of the whole-face code.
+        temper: how many pixels count as one independent observation of the whole-face code. What neighbours share is a
+            matter of faces, not of how finely they are sampled: 100 suits faces of 96 x 84 pixels, and other sizes in
+            proportion to their pixels (``scripts/measure/temper.py``).
         brightness: learn from faces brought to one brightness and treat a person's (or camera's) gain as an unknown of
             its own, ``i = g (n^T s + v)``; False is the thesis's model.
         kernel_width: width of the kernel over lights, in local light spacings; None chooses it by leaving lights out.

@@ -7,6 +7,7 @@ other; on that the model is conditioned.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import Literal, NamedTuple
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from facerelight.config import default_statistics_folder, find_statistics, quality_config
 from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sources import LightMixture
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
@@ -33,6 +35,8 @@ __all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"
 
 LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
+MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum of lights taken for one leave
+OWN_ERROR = 1.5  # degrees, by which fits to two photographs under one light differ
 SOFT_ERROR = (0.104, 0.144, 0.088)  # standard deviation of a fitted light, over 60 held-out rendered heads
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
@@ -45,12 +49,12 @@ Renderer = Callable[[Tensor], Tensor]  # lights (Q, 3) -> maps (1, Q, h, w)
 class SourceLight(NamedTuple):
     """A crop's own light: ``direction (3,)``, its middle, zero for a black crop; ``amounts (J,)`` of the bootstrap
     lights; ``equivalent (h, w)``, what the crop would look like under the one direction at unit strength;
-    ``scale (h, w)``, what its grey levels were multiplied by for that."""
+    ``noise (h, w)``, standard deviation of what the latter holds besides the face."""
 
     direction: Tensor
     amounts: Tensor
     equivalent: Tensor
-    scale: Tensor
+    noise: Tensor
 
 
 def load_relighter(quality: Quality = "standard", cache: str | None = None) -> StatisticalRelighter:
@@ -121,8 +125,8 @@ class FaceModel:
         images, lights = torch.stack([s.equivalent for s in sources]), torch.stack([s.direction for s in sources])
         unsure = lights.square().sum(-1) > 0
         unsure[0] &= source_light is None
-        scale = torch.stack([s.scale for s in sources])
-        self._mean, self._variance = self._conditioned(images, lights, scale, mask, unsure, method)
+        noise = torch.stack([s.noise for s in sources])
+        self._mean, self._variance = self._conditioned(images, lights, noise, mask, unsure, method)
         self.source_light = turn @ own.direction
         # The new lamp is as strong as keeps the face's brightness when it stands at the camera.
         self.exposure = 1.0
@@ -145,18 +149,16 @@ class FaceModel:
         )
 
     def _conditioned(
-        self, images: Tensor, lights: Tensor, scale: Tensor, mask: Tensor, unsure: Tensor, method: Method
+        self, images: Tensor, lights: Tensor, noise: Tensor, mask: Tensor, unsure: Tensor, method: Method
     ) -> tuple[Renderer, Renderer]:
-        """What renders the person of ``images (K, h, w)``, ``scale (K, h, w)`` times what was recorded, and its
-        variance, under any light; ``unsure (K,)``, which lights are estimates."""
+        """What renders the person of ``images (K, h, w)``, with errors of ``noise (K, h, w)``, and its variance, under
+        any light; ``unsure (K,)``, which lights are estimates."""
         if method == "mle":
-            fixed = MaximumLikelihood(
-                self.relighter.statistics, images, lights, self.relighter.noise / 255 * scale.flatten(1), mask
-            )
+            fixed = MaximumLikelihood(self.relighter.statistics, images, lights, noise.flatten(1), mask)
             return (lambda target: fixed.relight(target).mean[None]), (
                 lambda target: fixed.relight(target).variance[None]
             )
-        point = self.relighter.condition(images[None], lights, mask=mask[None], scale=scale[None])
+        point = self.relighter.condition(images[None], lights, mask=mask[None], noise=noise[None])
 
         @cache
         def integrated() -> Posterior:
@@ -164,7 +166,7 @@ class FaceModel:
             belief = GaussianBelief(lights[None], torch.diag(torch.tensor(SOFT_ERROR)))
             drawn = torch.nn.functional.normalize(belief.draw(LIGHT_DRAWS, None, False)[0], dim=-1)
             drawn = torch.where(unsure[:, None], drawn, lights)
-            return self.relighter.condition(images[None], drawn[None], mask=mask[None], scale=scale[None])
+            return self.relighter.condition(images[None], drawn[None], mask=mask[None], noise=noise[None])
 
         if not unsure.any():
             return (point.mean if method == "expected" else point.mode), point.variance
@@ -180,20 +182,30 @@ class FaceModel:
         amounts = fit_soft_light(average, luminance, mask)
         strength = float(amounts.sum())
         if strength < 1e-4:
-            return SourceLight(torch.zeros(3), torch.zeros_like(amounts), luminance, torch.ones_like(luminance))
+            return SourceLight(
+                torch.zeros(3), torch.zeros_like(amounts), luminance, self._noise(torch.ones_like(luminance))
+            )
         share = amounts / strength
         if known is not None:
             nearest = torch.zeros_like(amounts)
             direction = torch.nn.functional.normalize(known.reshape(3).to(share), dim=0)
             nearest[(self.lights @ direction).argmax()] = strength
-            return SourceLight(direction, nearest, luminance / strength, torch.full_like(luminance, 1 / strength))
+            scale = torch.full_like(luminance, 1 / strength)
+            return SourceLight(direction, nearest, luminance * scale, self._noise(scale))
         direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
-        single = prior_mean(statistics, direction[None].to(statistics.lights)).view(statistics.size).cpu().clamp_min(0)
-        quotient = ((single + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
+        about = torch.linalg.svd(direction[None])[2][1:] * np.deg2rad(OWN_ERROR)  # (2, 3), steps across the sphere
+        near = unit_lights(torch.cat((direction[None], direction + about)))
+        single = prior_mean(statistics, near.to(statistics.lights)).unflatten(1, statistics.size).cpu()
+        quotient = ((single[0].clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
             1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
         )
-        return SourceLight(direction, amounts, luminance / strength * quotient, quotient / strength)
+        noise = self._noise(quotient / strength).square() + (single[1:] - single[0]).square().sum(0)
+        return SourceLight(direction, amounts, luminance / strength * quotient, noise.sqrt())
+
+    def _noise(self, scale: Tensor) -> Tensor:
+        """Standard deviation of the errors of a photograph whose radiance was multiplied by ``scale (h, w)``."""
+        return scale * math.hypot(self.relighter.noise, MISFIT) / 255
 
     def crops(self, lights: Tensor) -> Tensor:
         """The aligned face under unit ``lights (Q, 3)``, scene radiance before exposure, ``(Q, h, w)``."""

@@ -23,9 +23,10 @@ from torch import Tensor
 from facerelight.config import TrainConfig, cache_folder
 from facerelight.geometry.lights import light_from_angles
 from facerelight.model.file import replacing
-from facerelight.model.subjects import face_operators
 from facerelight.numerics import gaussian
-from facerelight.viewpoint.views import ViewFields, ViewSource, check_view_images
+from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
+from facerelight.viewpoint.views import ViewFields, ViewSource, noise_in_radiance
+from facerelight.viewpoint.whole_face import Seen, face_of_views
 
 __all__ = ["BootstrapViews", "View", "ViewRelighter", "ViewRelit"]
 
@@ -109,7 +110,7 @@ class BootstrapViews:
         return dataset.images(range(self.first, dataset.count))[:, 0]
 
     def fields(self, views: Sequence[View]) -> ViewFields:
-        """Each person's difference from the mean under every view."""
+        """Each person's difference from the mean under every view; their brightness is part of it."""
         images = torch.stack([self.images(view).flatten(1) for view in views])  # (V, N, P)
         mean = images.mean(1)
         same = torch.tensor([[float(a == b) for b in views] for a in views])
@@ -125,77 +126,80 @@ class ViewRelighter:
         source: what the bootstrap's people look like under views.
         rank: of the code; 0 treats every pixel on its own, as the thesis does.
         temper: how many pixels count as one independent observation of the code.
+        noise: standard deviation of what an input holds besides the face, in grey levels of 255; 0: inputs are returned
+            exactly (Theorem 3).
     """
 
-    def __init__(self, source: ViewSource, rank: int = 40, temper: float = 100.0) -> None:
+    def __init__(self, source: ViewSource, rank: int = 40, temper: float = 100.0, noise: float = 1.0) -> None:
         if rank < 0 or temper < 1:
             raise ValueError(f"views: expected rank >= 0 and temper >= 1, got {rank} and {temper}")
-        self.source, self.rank, self.temper = source, rank, temper
+        self.source, self.rank, self.temper, self.noise = source, rank, temper, noise_in_radiance(noise)
 
-    def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> ViewRelit:
+    def __call__(
+        self,
+        images: Tensor,
+        source_views: Sequence[Any] | None,
+        target_view: Any,
+        method: MixtureMethod = "expected",
+        sampler: ViewSampler | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+    ) -> ViewRelit:
         """Render ``images (B, K, H, W)`` of B persons under ``target_view``: the conditional mean and variance (5.3 to
         5.5).
 
         Args:
-            images: linear radiance; the k-th image of everybody was taken under the same view.
+            images: linear radiance; the k-th image of everybody was taken under the same view, where that is known.
             source_views: for each image its view (a :class:`View`, or a light ``(3,)`` of :class:`LightViews`) or,
-                where that is unknown, a list of candidates (or lights ``(M, 3)``). Every combination is a reading of
-                the inputs; the readings are averaged with their tempered evidence as weights (5.5), person by person.
+                where that is unknown, a list of candidates (or lights ``(M, 3)``), or None. Every combination of
+                candidates is a reading of the inputs; the readings count by their tempered evidence, person by person.
+                None (instead of all of them, too): drawn from ``sampler``, and the draws count alike.
             target_view: what to render.
+            method: "expected", the mean image (5.5); "map", the most probable grey levels (5.4), then in ``mean``; the
+                same where all views are known.
+            sampler: draws unknown views, such as a :class:`~facerelight.viewpoint.pose_sampler.PoseSampler`.
+            draws: how many sets of them.
+            generator: makes the draws another set.
         """
-        size = self.source.size
-        check_view_images(images, source_views, size)
-        readings: list[list[Any]] = [[]]
-        for view in source_views:
-            readings = [[*r, v] for r in readings for v in _candidates(view)]
-        parts = [self._read(images.flatten(2), reading, target_view) for reading in readings]
-        means, variances, codes, evidence = (torch.stack(part) for part in zip(*parts, strict=True))  # (S, B, ...)
-        weight = torch.softmax(evidence, 0)
-        mean = torch.einsum("sb,sbp->bp", weight, means)
-        variance = torch.einsum("sb,sbp->bp", weight, variances + (means - mean).square())
-        code = torch.einsum("sb,sbk->bk", weight, codes)
-        return ViewRelit(
-            mean.to(images).unflatten(1, size),
-            variance.to(images).unflatten(1, size),
-            code.to(images),
-            weight.T.to(images),
-        )
-
-    def _read(self, images: Tensor, views: Sequence[View], target: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered
-        log evidence ``(B,)``."""
-        known = self.source.fields([target, *views])
-        fields = known.fields.sum(0).double()  # (V, N, P)
-        people = fields.shape[1]
-        operators = face_operators(torch.einsum("vnp,vmp->nm", fields, fields), min(self.rank, people - 2))
-        loadings = torch.einsum("kn,vnp->pvk", operators.loadings.double(), fields)
-        residual = torch.einsum("mn,vnp->pvm", operators.residual.double(), fields)
-        covariance = residual @ residual.mT / people + known.local.permute(2, 0, 1).double()  # (P, V, V)
-        factor = gaussian.safe_cholesky(covariance[:, 1:, 1:])
-        inputs = gaussian.solve_lower(factor, loadings[:, 1:])  # (P, K, k)
-        cross = gaussian.solve_lower(factor, covariance[:, 1:, :1])  # (P, K, 1)
-        left = loadings[:, 0] - (cross * inputs).sum(1)  # D, (P, k)
-        own = gaussian.positive_variance(covariance[:, 0, 0] - cross.square().sum((1, 2)), covariance[:, 0, 0])
-        volume = 2 * factor.diagonal(dim1=1, dim2=2).log().sum()
-        results = []
+        drawn = read_views(images, source_views, self.source.size, sampler, draws, generator)
         if not len(images):
-            empty = images.new_zeros(0, images.shape[2], dtype=torch.float64)
-            return empty, empty, empty.new_zeros(0, inputs.shape[2]), empty.new_zeros(0)
-        for person in images:
-            white = gaussian.solve_lower(factor, (person - known.mean[1:]).double().T[..., None])  # (P, K, 1)
-            code, spread = gaussian.low_rank_code(inputs, white, self.temper)
-            mean = known.mean[0].double() + (left @ code)[:, 0] + (cross * white).sum((1, 2))
-            missed = (white - inputs @ code).square().sum() + self.temper * code.square().sum()
-            evidence = -0.5 * (missed + volume - 2 * self.temper * spread.diagonal().log().sum()) / self.temper
-            results.append((mean, own + (left @ spread).square().sum(-1), code[:, 0], evidence))
+            empty = images.new_zeros(0, *self.source.size)
+            return ViewRelit(empty, empty, images.new_zeros(0, self.rank), images.new_zeros(0, 1))
+        parts = [[self._block(block, target_view) for block in blocks] for blocks in drawn]  # draws, blocks
+        mean, variance, code, weight = (
+            torch.cat([torch.cat([block[i] for block in blocks], 1) for blocks in parts]) for i in range(4)
+        )  # (S, B, ...)
+        weight = weight / len(parts)
+        chosen, spread = choose_image(mean, variance, weight, method)
+        chosen, spread = (image.to(images).unflatten(1, self.source.size) for image in (chosen, spread))
+        code = torch.einsum("sb,sbk->bk", weight, code)
+        return ViewRelit(chosen, spread, code.to(images), weight.T.to(images))
+
+    def _block(self, block: Block, target: Any) -> tuple[Tensor, ...]:
+        """Of C readings: output mean and variance ``(C, B, P)``, code ``(C, B, k)``, and what each counts beside the
+        others, ``(C, B)``."""
+        read = [self._read(block.images, reading, target) for reading in block.readings]
+        mean, variance, code, evidence = (torch.stack(part) for part in zip(*read, strict=True))
+        return mean, variance, code, torch.softmax(evidence, 0)
+
+    def _read(self, images: Tensor, views: Sequence[Any], target: Any) -> tuple[Tensor, ...]:
+        """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered
+        log evidence ``(B,)``; (5.6) with the whole face."""
+        known = self.source.fields([target, *views])
+        gains = known.gains(images)
+        face = face_of_views(known, self.rank)
+        average, outputs, own = face.mean[0], face.loadings[:, 0], face.covariance[:, 0, 0]  # (P,), (P, k), (P,)
+        prior = own + outputs.square().sum(1) + float(known.gain_spread) ** 2 * average.square() + self.noise**2
+        results = []
+        for index, person in enumerate(images):
+            gain, unsure = (part[min(index, len(part) - 1)] for part in gains)
+            seen = Seen.of(face, person, gain, self.noise, self.temper)
+            cross = gaussian.solve_lower(seen.factor, face.covariance[:, 1:, :1])  # (P, K, 1)
+            left = outputs - (cross * seen.inputs).sum(1)  # D, (P, k)
+            mean, black = (average[:, None] + left @ seen.code + (cross * seen.white).sum(1)).T
+            variance = gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
+            variance = variance + (left @ seen.spread).square().sum(-1) + unsure.square() * black.square()
+            variance = torch.minimum(gain.square() * variance + self.noise**2, prior)
+            results.append((gain * mean, variance, seen.code[:, 0], seen.evidence))
         mean, variance, code, evidence = (torch.stack(part) for part in zip(*results, strict=True))
         return mean, variance, code, evidence
-
-
-def _candidates(view: Any) -> list[Any]:
-    """The views that one input may have been taken under: one, or those of a list; a light is a view, not a list."""
-    listed = isinstance(view, list | tuple) and not (len(view) and isinstance(view[0], int | float))
-    several = list(view) if listed or (isinstance(view, Tensor) and view.dim() == 2) else [view]
-    if not several:
-        raise ValueError("views: expected a view or several candidates for every image, got none")
-    return several

@@ -12,7 +12,8 @@ from torch import Tensor
 from facerelight.numerics.checks import check_finite, check_index, check_shape
 from facerelight.numerics.gaussian import condition_gaussian, positive_variance
 from facerelight.numerics.shrinkage import KINDS, Shrinkage, shrunk_covariance
-from facerelight.viewpoint.views import ViewSource, check_view_images
+from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
+from facerelight.viewpoint.views import ViewSource, noise_in_radiance
 
 __all__ = [
     "GroupRelighter",
@@ -24,6 +25,8 @@ __all__ = [
     "random_groups",
 ]
 
+GROUPS_AT_ONCE = 256
+
 
 class Region(NamedTuple):
     """T groups of one size: the pixels rendered together, ``outputs (T, r_out)``, and those they are rendered from,
@@ -34,8 +37,8 @@ class Region(NamedTuple):
 
 
 class GroupRelit(NamedTuple):
-    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group: what is left
-    unknown (5.5.1)."""
+    """``mean``, ``variance`` ``(B, H, W)``; ``log_det (G,)``, the logarithm of det C_m of every group, on average over
+    persons and readings: what is left unknown (5.5.1)."""
 
     mean: Tensor
     variance: Tensor
@@ -117,48 +120,94 @@ def make_regions(groups: Sequence[Tensor], samples: Tensor | None = None, inputs
 
 class GroupRelighter:
     """Conditional mean and variance of groups of pixels given groups of pixels, for any K, r_in, r_out and any kind of
-    view: Table 5.1.
+    view, known or not: Table 5.1.
 
     Args:
         source: what the bootstrap's people look like under views.
         regions: of :func:`make_regions`; together they cover every pixel once.
         shrinkage: of the joint covariance of a group: "sample" as the thesis, which turns to noise from a few pixels
             on; "block" towards single pixels, which keeps Consistency; "ledoit_wolf" and "oas" towards the identity.
+        noise: standard deviation of what an input holds besides the face, in grey levels of 255; 0: inputs are returned
+            exactly (Theorem 3).
 
     Raises:
         ValueError: regions that leave a pixel out or render one twice, or an unknown shrinkage.
     """
 
-    def __init__(self, source: ViewSource, regions: Sequence[Region], shrinkage: Shrinkage = "block") -> None:
+    def __init__(
+        self, source: ViewSource, regions: Sequence[Region], shrinkage: Shrinkage = "block", noise: float = 1.0
+    ) -> None:
         _check_partition(regions, source.size[0] * source.size[1])
         if shrinkage not in KINDS:
             raise ValueError(f"shrinkage: expected one of {', '.join(KINDS)}, got {shrinkage!r}")
         self.source, self.regions, self.shrinkage = source, regions, shrinkage
+        self.noise = noise_in_radiance(noise)
 
-    def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
-        """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``."""
-        size = self.source.size
-        check_view_images(images, source_views, size)
-        known = self.source.fields([target_view, *source_views])
-        residual = (images.flatten(2) - known.mean[1:]).double()  # (B, K, P)
-        mean = known.mean[0].double().repeat(len(images), 1)
-        variance = mean.new_zeros(mean.shape[1])
+    def __call__(
+        self,
+        images: Tensor,
+        source_views: Sequence[Any] | None,
+        target_view: Any,
+        method: MixtureMethod = "expected",
+        sampler: ViewSampler | None = None,
+        draws: int = 32,
+        generator: torch.Generator | None = None,
+    ) -> GroupRelit:
+        """Render ``images (B, K, H, W)`` of B persons, taken under the K ``source_views``, under ``target_view``.
+
+        Args:
+            images: linear radiance; the k-th image of everybody was taken under the same view, where that is known.
+            source_views: one an image, None (or a light of NaN) where it is unknown; None: all are.
+            target_view: what to render.
+            method: "expected", the mean image (Algorithm 2); "map", the most probable grey levels (Algorithm 1); the
+                same where all views are known.
+            sampler: draws unknown views, person by person; a light estimator, for lights.
+            draws: how many sets of them.
+            generator: makes the draws another set.
+        """
+        drawn = read_views(images, source_views, self.source.size, sampler, draws, generator)
+        if not len(images):
+            empty = images.new_zeros(0, *self.source.size)
+            return GroupRelit(empty, empty, images.new_zeros(0, dtype=torch.float64))
+        readings = [[self._read(*_only(block), target_view) for block in blocks] for blocks in drawn]
+        mean, variance = (torch.stack([torch.cat([r[i] for r in blocks]) for blocks in readings]) for i in (0, 1))
+        log_det = torch.stack([r[2] for blocks in readings for r in blocks]).mean(0)
+        weight = mean.new_full(mean.shape[:2], 1 / len(mean))
+        chosen, spread = choose_image(mean, variance, weight, method)
+        chosen, spread = (image.to(images).unflatten(1, self.source.size) for image in (chosen, spread))
+        return GroupRelit(chosen, spread, log_det)
+
+    def _read(self, images: Tensor, views: list[Any], target: Any) -> tuple[Tensor, Tensor, Tensor]:
+        """(5.6) for known views: mean and variance of ``images (B, K, P)`` under ``target``, ``(B, P)``, and
+        ``log_det (G,)``; what is linear in the inputs is that of their gains taken off."""
+        known = self.source.fields([target, *views])
+        gain, unsure = known.gains(images)  # (B,), or (1,) where all are alike
+        average = known.mean[0].double()
+        seen = images / gain.to(images)[:, None, None] - known.mean[1:]  # (B, K, P)
+        residual = torch.stack((seen, (-known.mean[1:]).expand_as(seen))).double()  # and of black inputs, (2, B, K, P)
+        mean = average.expand(2, len(images), -1).clone()
+        variance, prior = mean.new_zeros(len(gain), len(average)), torch.zeros_like(average)
+        step = max(1, GROUPS_AT_ONCE // len(images))  # each person has a factor
         log_det = []
         for region in self.regions:
-            for outputs, inputs in zip(region.outputs.split(256), region.inputs.split(256), strict=True):
-                covariance = self._covariance(known.fields, known.local, outputs, inputs)
+            for outputs, inputs in zip(region.outputs.split(step), region.inputs.split(step), strict=True):
+                covariance = self._covariance(known.fields, known.local, outputs, inputs)  # (T, D, D)
                 r = outputs.shape[1]
-                y = residual[:, :, inputs].transpose(1, 2).flatten(2)  # (B, T, K r_in), view by view
-                zero = y.new_zeros(y.shape[1:])
-                given = condition_gaussian(
-                    zero[:, :r], zero, covariance[:, :r, :r], covariance[:, :r, r:], covariance[:, r:, r:], y
-                )
-                mean[:, outputs] += given.mean
-                before = covariance[:, :r, :r].diagonal(dim1=1, dim2=2)
-                variance[outputs] = positive_variance(given.covariance.diagonal(dim1=1, dim2=2), before)
-                log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1))
-        spread = variance.to(images).view(size).expand(len(images), -1, -1)
-        return GroupRelit(mean.to(images).unflatten(1, size), spread, torch.cat(log_det))
+                own, cross = covariance[:, :r, :r], covariance[:, :r, r:]
+                noise = (self.noise / gain).square()[:, None, None, None]
+                noisy = covariance[:, r:, r:] + noise * torch.eye(cross.shape[2]).to(cross)  # (B, T, K r_in, K r_in)
+                y = residual[..., inputs].transpose(2, 3).flatten(3)  # (2, B, T, K r_in), view by view
+                given = condition_gaussian(own.new_zeros(r), y.new_zeros(y.shape[3]), own, cross, noisy, y)
+                mean[..., outputs] += given.mean
+                prior[outputs] = own.diagonal(dim1=1, dim2=2)
+                left = given.covariance.diagonal(dim1=2, dim2=3)  # (B, T, r_out)
+                variance[:, outputs] = positive_variance(left, prior[outputs])
+                log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1).mean(0))
+        image, black = mean
+        gain, unsure = gain[:, None], unsure[:, None]
+        variance = gain.square() * (variance + unsure.square() * black.square()) + self.noise**2
+        prior = prior + float(known.gain_spread) ** 2 * average.square() + self.noise**2
+        return gain * image, torch.minimum(variance, prior), torch.cat(log_det)
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
         """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""
@@ -173,6 +222,15 @@ class GroupRelighter:
         )
         same = pixel[:, :, None] == pixel[:, None]
         return covariance + torch.where(same, local[view[:, None], view[None], pixel[:, :, None]].double(), 0.0)
+
+
+def _only(block: Block) -> tuple[Tensor, list[Any]]:
+    """The images of a block, and their views."""
+    if len(block.readings) != 1:
+        raise ValueError(
+            "views: expected one an image, got lists of candidates; give None and a sampler where they are unknown"
+        )
+    return block.images, block.readings[0]
 
 
 def _check_partition(regions: Sequence[Region], pixels: int) -> None:

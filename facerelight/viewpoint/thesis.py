@@ -13,7 +13,7 @@ from torch import Tensor
 from facerelight.numerics.gaussian import NumericalWarning
 from facerelight.numerics.kernels import kernel_weights
 from facerelight.viewpoint.pose import BootstrapViews, View
-from facerelight.viewpoint.regions import GroupRelighter, GroupRelit
+from facerelight.viewpoint.regions import GroupRelighter
 from facerelight.viewpoint.views import ViewFields
 
 __all__ = ["POSES", "GridViews", "PrintedGroups"]
@@ -30,10 +30,10 @@ class PrintedGroups(GroupRelighter):
     its variances may come out negative, which is not warned of.
     """
 
-    def __call__(self, images: Tensor, source_views: Sequence[Any], target_view: Any) -> GroupRelit:
+    def _read(self, images: Tensor, views: list[Any], target: Any) -> tuple[Tensor, Tensor, Tensor]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NumericalWarning)
-            return super().__call__(images, source_views, target_view)
+            return super()._read(images, views, target)
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
         right = super()._covariance(fields, local, outputs, inputs)

@@ -8,6 +8,7 @@ people's fields.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -15,24 +16,36 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
+from facerelight.model.brightness import Gain, read_gain
 from facerelight.model.statistics import FaceStatistics
-from facerelight.model.subjects import fill_missing, fill_operators, gather_grams
-from facerelight.numerics.checks import check_radiance
+from facerelight.model.subjects import fill_missing, fill_operators, gather_grams, measure_brightness, total_gram
 
-__all__ = ["LightViews", "ViewFields", "ViewSource", "check_view_images"]
+__all__ = ["LightViews", "ViewFields", "ViewSource", "noise_in_radiance"]
 
 
 class ViewFields(NamedTuple):
-    """N people under V views at P pixels.
+    """N people under V views at P pixels, all brought to one brightness where theirs is an unknown of its own.
 
     ``mean (V, P)``; ``fields (M, V, N, P)``, each person's difference from it as the sum of M independent parts (n and
     v); ``local (V, V, P)``, covariance that views share at one pixel over and above the fields' own.
-    ``Cov = sum_m fields_m^T fields_m / (N - 1) + [same pixel] local``.
+    ``Cov = sum_m fields_m^T fields_m / (N - 1) + [same pixel] local``. ``gain_spread ()``: of the logarithm of people's
+    brightness (0: it is in the fields); ``gain_noise (V,)``: of reading it off one image.
     """
 
     mean: Tensor
     fields: Tensor
     local: Tensor
+    gain_spread: Tensor = torch.tensor(0.0)
+    gain_noise: Tensor = torch.ones(1)
+
+    def gains(self, images: Tensor) -> Gain:
+        """The gain of each person whose ``images (B, K, P)`` are under the last K views; ``value`` and ``spread`` are
+        ``(B,)``, or ``(1,)`` where everybody has the same."""
+        first, spread = len(self.mean) - images.shape[1], float(self.gain_spread)
+        noise = self.gain_noise.expand(len(self.mean))[first:]
+        people = images if spread else images[:1]
+        read = [read_gain(person, self.mean[first:], spread, noise) for person in people]
+        return Gain(*(torch.stack(parts) for parts in zip(*read, strict=True)))
 
 
 class ViewSource(Protocol):
@@ -47,16 +60,12 @@ class ViewSource(Protocol):
 ROUNDING = 1e-6  # of a unit vector's length
 
 
-def check_view_images(images: Tensor, source_views: Sequence[Any], size: tuple[int, int]) -> None:
-    """Images ``(B, K, H, W)`` in radiance, and a view for each of K >= 1; else a ``ValueError``."""
-    check_radiance(images, "images", "B K H W", size)
-    if not isinstance(source_views, Sequence) and not (isinstance(source_views, Tensor) and source_views.dim()):
-        raise ValueError(f"views: expected one for each of {images.shape[1]} images, got {source_views!r}")
-    if len(source_views) != images.shape[1] or not images.shape[1]:
-        raise ValueError(
-            f"images: expected (B, K, {size[0]}, {size[1]}) and K >= 1 views,"
-            f" got {tuple(images.shape)} and {len(source_views)} views"
-        )
+def noise_in_radiance(noise: float) -> float:
+    """The standard deviation of the inputs' noise in radiance; ``noise`` is in grey levels of 255, else a
+    ``ValueError``."""
+    if not (math.isfinite(noise) and noise >= 0):
+        raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
+    return float(noise) / 255
 
 
 class LightViews:
@@ -66,7 +75,8 @@ class LightViews:
     For one pixel at a time this is the model of :class:`StatisticalRelighter` with a correlation factor of full rank.
 
     Args:
-        statistics: fitted in this process, so that its people's images are still at hand.
+        statistics: fitted in this process, so that its people's images are still at hand; where they were learned with
+            ``brightness``, people are brought to one brightness here too.
     """
 
     def __init__(self, statistics: FaceStatistics) -> None:
@@ -74,8 +84,13 @@ class LightViews:
             raise ValueError("statistics: expected freshly fitted ones that keep their images; loaded ones do not")
         self.statistics = statistics
         height, width = statistics.size
-        grams = gather_grams(statistics.store, statistics.lights, statistics.options.block)
-        images = fill_missing(statistics.store.block(0, height * width), fill_operators(grams))
+        store, block = statistics.store, statistics.options.block
+        grams = gather_grams(store, statistics.lights.cpu(), block)
+        fill = fill_operators(grams)
+        images = fill_missing(store.block(0, height * width), fill)  # (N, J, P)
+        if statistics.options.brightness:
+            gain = measure_brightness(store, total_gram(grams, fill), fill, block).gain
+            images = images / gain[:, None, None]
         images = images.to(statistics.lights)
         n = torch.linalg.pinv(statistics.lights.double()).to(images) @ images
         v = images - statistics.lights @ n
@@ -113,4 +128,5 @@ class LightViews:
         local = torch.einsum("aj,bj,jp,ap,bp->abp", weights, weights, unique, std, std)
         local = local + self.statistics.nugget(lights, lights)[..., None] * narrow[:, None] * narrow[None]
         mean = lights @ self.statistics.n_mean.flatten(1) + weights @ self.statistics.v_mean.flatten(1)
-        return ViewFields(mean, torch.stack((of_n, of_v)), local)
+        gain = self.statistics.gain_spread, weights @ self.statistics.gain_noise
+        return ViewFields(mean, torch.stack((of_n, of_v)), local, *gain)

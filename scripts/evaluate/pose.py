@@ -1,7 +1,7 @@
 """Other poses: statistics rendered on demand at exactly the pose asked for, against the thesis's interpolation over its
 45 poses (5.6).
 
-python scripts/evaluate/pose.py --heads 100 --json pose.json --picture pose.png
+python scripts/evaluate/pose.py --csv --picture pose.png
 
 Inputs are three images of a held-out head (30 degrees left, 30 right, frontal), outputs lie off the thesis's grid of
 poses; the light is frontal and known throughout, as in 5.6.1. Also answers the question of section 7.3: does n vary
@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from facerelight.config import TrainConfig
-from facerelight.evaluation.results import ScriptParser
+from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.evaluation.visualize import contact_sheet
 from facerelight.geometry.lights import light_from_angles
 from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
@@ -46,7 +46,7 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=8, help="held-out heads")
     parser.add_size(64, 56)
     parser.add_argument("--cache", default=None, help="folder for rendered views (default: a temporary one)")
-    parser.add_results("json")
+    parser.add_results("csv")
     parser.add_argument("--picture", default=None)
     args = parser.parse_args()
     config = TrainConfig(heads=args.heads, height=args.height, width=args.width, supersample=1)
@@ -80,10 +80,9 @@ def main() -> None:
         results["ratio_to_best_interpolation_per_pixel"] = results["on_demand_per-pixel"] / best[0]
         over_poses, over_people = variation_of_n(source, min(args.heads, 20))
         results["n_variance_over_poses"], results["n_variance_over_people"] = over_poses, over_people
-    for name, value in results.items():
-        print(f"{name}: {value:.4g}")
-    report = {"heads": args.heads, "people": args.people, "size": [args.height, args.width], "results": results}
-    parser.save_report(args.json, report)
+    rows = [{"statistics": name.replace("_", " "), "value": f"{value:.4g}"} for name, value in results.items()]
+    print(markdown(rows))
+    parser.save_rows(args.csv, rows)
     if args.picture:
         rows = [[inputs[0, k] for k in range(3)], *pictures.values()]
         angles = [f"{view.azimuth:+.0f}" for view in TARGETS]

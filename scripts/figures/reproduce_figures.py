@@ -248,7 +248,9 @@ def groups(world: World, out: Path) -> list[tuple[str, str, str]]:
             for r in sizes:
                 regions = make_regions(make(r))
                 relighter = (
-                    PrintedGroups(views, regions, "sample") if kind == PRINTED else GroupRelighter(views, regions, kind)
+                    PrintedGroups(views, regions, "sample", noise=0)
+                    if kind == PRINTED
+                    else GroupRelighter(views, regions, kind, noise=0)
                 )
                 made.append(relighter(side[None, None], [source], target).mean[0])
             rows[kind] = [shown(m) for m in made]

@@ -4,7 +4,8 @@ seen.
 python scripts/measure/coverage.py --csv
 
 Percent of the face's pixels within the central 50, 80 and 95 % interval, over heads rounded to 8 bits: before an image
-was seen (prior) and after one (posterior), its light known and estimated.
+was seen (prior) and after one (posterior), its light known and estimated; to lights before and behind the face, and
+from an input light in front and at the side.
 """
 
 from dataclasses import replace
@@ -19,6 +20,7 @@ from facerelight.photo.face_model import load_relighter
 from facerelight.train.dataset import make_dataset
 
 ANGLES = [(10, 5), (0, 0), (70, 0), (-35, 15), (35, -20), (0, 45), (-60, -20), (-70, 45)]
+BEHIND = [(100, 0), (-110, 20), (180, -60)]
 SOURCES = (0, 2)  # the input's light, in turn over people
 LEVELS = (50, 80, 95)
 
@@ -31,7 +33,7 @@ def main() -> None:
     parser.add_results("csv")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
-    angles = torch.tensor(ANGLES, dtype=torch.float64)
+    angles = torch.tensor(ANGLES + BEHIND, dtype=torch.float64)
     lights = light_from_angles(angles[:, 0], angles[:, 1]).float()
     config = replace(DEFAULT_CONFIG, heads=args.heads, seed=args.seed)
     images = (make_dataset(config, lights).images().clamp(0, 1) * 255).round() / 255
@@ -39,25 +41,30 @@ def main() -> None:
     relighter = load_relighter()
     levels = torch.tensor(LEVELS, dtype=torch.float64) / 100
     reach = torch.special.ndtri((1 + levels) / 2)[:, None, None]
-    inside: dict[tuple[str, str], list[Tensor]] = {}
+    inside: dict[tuple[str, str, str, str], list[Tensor]] = {}
     nothing = relighter.condition(images[:1, :1], torch.zeros(1, 3)).render(lights)
     for index, person in enumerate(images):
         source = SOURCES[index % len(SOURCES)]
-        others = [light for light in range(len(lights)) if light != source]
-        truth = person[others][:, face].double()
-        for light, known in (("known", lights[source][None]), ("estimated", None)):
-            seen = relighter.condition(
-                person[None, source : source + 1], known, draws=args.draws, mask=face[None].float()
-            ).render(lights[others])
-            prior = (nothing.mean[:, others], nothing.variance[:, others])
-            for state, (mean, variance) in (("prior", prior), ("posterior", seen)):
-                away = (truth - mean[0][:, face]).abs() / variance[0][:, face].double().sqrt()
-                inside.setdefault((state, light), []).append((away < reach).double().mean((1, 2)))
-    rows = [
-        {"state": state, "light": light}
-        | {f"within_{n}": round(100 * float(v), 1) for n, v in zip(LEVELS, torch.stack(parts).mean(0), strict=True)}
-        for (state, light), parts in inside.items()
-    ]
+        image, mask = person[None, source : source + 1], face[None].float()
+        relit = {
+            ("prior", "known"): nothing,
+            ("posterior", "known"): relighter.condition(image, lights[source][None], mask=mask).render(lights),
+            ("posterior", "estimated"): relighter.condition(image, None, draws=args.draws, mask=mask).render(lights),
+        }
+        targets = {"before": range(len(ANGLES)), "behind": range(len(ANGLES), len(lights))}
+        for (state, known), (mean, variance) in relit.items():
+            away = (person - mean[0])[:, face].double().abs() / variance[0][:, face].double().sqrt()
+            for place, some in targets.items():
+                kept = [light for light in some if light != source]
+                case = (state, known, ("front", "side")[source > 0], place)
+                inside.setdefault(case, []).append((away[kept] < reach).double().mean((1, 2)))
+    rows = []
+    for state, known, place in dict.fromkeys((s, k, p) for s, k, _, p in inside):
+        parts = {side: inside[state, known, side, place] for side in ("front", "side")}
+        for side, chosen in {"both": [*parts["front"], *parts["side"]], **parts}.items():
+            share = 100 * torch.stack(chosen).mean(0)
+            figures = {f"within_{n}": round(float(v), 1) for n, v in zip(LEVELS, share, strict=True)}
+            rows.append({"state": state, "light": known, "input": side, "targets": place} | figures)
     print(markdown(rows))
     parser.save_rows(args.csv, rows)
 

@@ -80,6 +80,32 @@ def test_scenes_run_only_the_passes_they_call_for() -> None:
             plan_effects(surface, side, matte, "glow")
 
 
+@pytest.mark.parametrize("shape", ["fin", "wire", "ribbon"])
+@pytest.mark.parametrize("shift", [0.0, 0.11, 0.21])
+def test_the_plan_sees_occluders_a_third_of_a_pixel_thin(shape: str, shift: float) -> None:
+    """On a mesh of the user's own: thinner than what the plan's depth pass samples, not than the shadow's own map."""
+    sizes = {"fin": (0.33, 10, 6), "wire": (0.33, 0.33, 6), "ribbon": (0.33, 14, 0.02)}
+    height = {"fin": 20.5, "wire": 21.5, "ribbon": 23.0}[shape]
+    thin = trimesh.creation.box(sizes[shape])
+    thin.apply_translation((3 + shift, 0.17, height))
+    mesh = trimesh.util.concatenate([trimesh.creation.icosphere(5, radius=20), thin])
+    zeros = np.zeros(len(mesh.vertices), np.float32)
+    head = Head(mesh.vertices, mesh.faces, np.array(mesh.vertices) / 20 + (0, 0, 5), zeros, np.zeros((3, 3)))
+    matte = Material(specular=0.0, roughness=0.3, fill=0.0)
+    shadowed = 0
+    with MeshRenderer(64, 64, extent=140) as renderer:
+        surface = view_surface(renderer, head, Look.random(np.random.default_rng(0), Domain(texture=0.0)))
+        for light in even_hemisphere(8):
+            auto, full = (
+                shade(surface, light, matte, plan_effects(surface, light, matte, effects), renderer)
+                for effects in ("auto", "all")
+            )
+            assert (auto - full).abs().max() < 1e-4
+            plain = shade(surface, light, matte, plan_effects(surface, light, matte, ["attached"]), renderer)
+            shadowed += int((plain - full > 0.05).sum())
+    assert shadowed > 0
+
+
 def test_auto_equals_all(dataset: BootstrapDataset) -> None:
     everything = BootstrapDataset(dataset.source, 5, dataset.lights, dataset.frame, effects="all")
     run: Counter[str] = Counter()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import reference
 import torch
+from conftest import shaded_people
 
 from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
@@ -155,13 +156,13 @@ def test_mle_wants_three_independent_lights(statistics: FaceStatistics, angles: 
     """One, two, coplanar and repeated lights."""
     sources = torch.stack([light_from_angles(float(a), float(e)) for a, e in angles])
     with pytest.raises(ValueError, match=rf"got {len(angles)} with condition number"):
-        StatisticalRelighter(statistics, noise=0)(
+        StatisticalRelighter(statistics)(
             torch.rand(1, len(angles), 24, 21), sources[:1], source_lights=sources, method="mle"
         )
 
 
 def test_methods_that_cannot_serve_say_so(statistics: FaceStatistics, lights: torch.Tensor) -> None:
-    relighter = StatisticalRelighter(statistics, noise=0)
+    relighter = StatisticalRelighter(statistics)
     with pytest.raises(ValueError, match="to be known"):
         relighter(torch.rand(1, 3, 24, 21), lights[:1], method="mle")
     with pytest.raises(ValueError, match="expected one of expected, map, mle"):
@@ -204,12 +205,15 @@ def test_one_image_at_a_time_equals_all_at_once(statistics: FaceStatistics, ligh
 def test_parsimony(
     statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, method: str, inputs: int
 ) -> None:
-    """Any number of inputs will do; from three on for the MLE case, which refuses fewer (above)."""
-    out = StatisticalRelighter(statistics, noise=0)(
-        people[12:13, :inputs], lights[25:26], source_lights=lights[:inputs], method=method
-    )
+    """Any number of inputs will do, and tells more than none; from three on for the MLE case, which refuses fewer
+    (above)."""
+    relighter, target = StatisticalRelighter(statistics), light_from_angles(25.0, 10.0)[None]
+    truth = shaded_people(16, target, 0)[12:]  # the same people
+    out = relighter(people[12:16, :inputs], target, source_lights=lights[:inputs], method=method)
+    average = relighter(people[12:16, :1], target, source_lights=torch.zeros(1, 3)).mean
     assert torch.isfinite(out.mean).all()
-    assert (out.variance >= 0).all()
+    assert (out.variance >= (1 / 255) ** 2 * 0.999).all()  # of a new image
+    assert (out.mean - truth).norm() < 0.5 * (average - truth).norm()
 
 
 def test_zero_mean_error(statistics: FaceStatistics, lights: torch.Tensor) -> None:

@@ -41,7 +41,7 @@ def test_by_default_inputs_come_back_within_a_grey_level_and_noise_scales_with_e
     made = relighter.condition(people[13:14, :1], lights[:1]).mean(lights[:1])
     assert 0 < (made - people[13:14, :1]).square().mean().sqrt() < 1 / 255
     finer = StatisticalRelighter(statistics, model, noise=0.5)
-    scaled = finer.condition(people[13:14, :1], lights[:1], scale=torch.full((1, 1), 2.0))
+    scaled = finer.condition(people[13:14, :1], lights[:1], noise=torch.full((1, 1), 2.0 * 0.5 / 255))
     assert torch.allclose(scaled.mean(lights[:2]), relighter.condition(people[13:14, :1], lights[:1]).mean(lights[:2]))
 
 

@@ -244,8 +244,8 @@ def test_bad_input(statistics: FaceStatistics, lights: torch.Tensor) -> None:
         relighter(good, lights, source_lights=lights[:2])
     with pytest.raises(ValueError, match="noise"):
         StatisticalRelighter(statistics, noise=-1)
-    with pytest.raises(ValueError, match="scale"):
-        relighter.condition(good, lights[:1], scale=torch.ones(2, 1))
+    with pytest.raises(ValueError, match="noise"):
+        relighter.condition(good, lights[:1], noise=torch.ones(2, 1))
     with pytest.raises(ValueError, match="covariance"):
         StatisticalRelighter(statistics, "both")  # type: ignore[arg-type]
 

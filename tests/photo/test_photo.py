@@ -1,12 +1,14 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from facerelight.cli import main
+from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.soft import fit_soft_light
 from facerelight.photo import PhotoRelighter, relight
@@ -51,6 +53,20 @@ def test_relight_keeps_the_type(folder: Path, astronaut: np.ndarray) -> None:
     assert isinstance(image, Image.Image)
     assert np.array_equal(array, np.asarray(image))
     assert np.array_equal(before, astronaut)
+
+
+@pytest.mark.parametrize("kind", ["noise", "jpeg"])
+def test_nearly_the_same_photo_again_changes_little(astronaut: np.ndarray, kind: str) -> None:
+    """The face moves by at most two grey levels RMS, which is what a compressed photo alone would do."""
+    noise = np.random.default_rng(0).normal(0, 1, astronaut.shape).round()
+    again = {
+        "noise": (astronaut + noise).clip(0, 255).astype(np.uint8),
+        "jpeg": cv2.imdecode(cv2.imencode(".jpg", astronaut, (cv2.IMWRITE_JPEG_QUALITY, 75))[1], cv2.IMREAD_COLOR),
+    }[kind]
+    lights = light_from_angles(torch.tensor([51.0, -52.0, 0.0]), torch.tensor([6.0, 12.0, 30.0])).float()
+    models = [PhotoRelighter(astronaut, more=more).model for more in ((), (again,))]
+    once, twice = (model.exposure * model.crops(lights) for model in models)
+    assert (once - twice).square().mean().sqrt() < 2 / 255
 
 
 def test_black_photo_stays_finite(folder: Path) -> None:

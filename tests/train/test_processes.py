@@ -49,6 +49,21 @@ def test_two_processes_train_one_cache_once(tmp_path: Path) -> None:
     assert not (Path(one) / "images").exists()
 
 
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    """Rendering starts workers, which import the script anew, and would wait for their own parent."""
+    script = tmp_path / "script.py"
+    script.write_text(TRAIN.replace(f"heads={HEADS}", "heads=24"))  # enough for workers
+    there = {**os.environ, "FACERELIGHT_CACHE": str(tmp_path), "OMP_NUM_THREADS": "1"}
+    running = subprocess.Popen([sys.executable, script], env=there, stderr=subprocess.PIPE, text=True)
+    assert running.stderr is not None
+    try:  # the parent may wait for a worker that died before it read its task: the line is what tells
+        assert any("put what the script does under `if __name__ == '__main__':`" in line for line in running.stderr)
+    finally:
+        running.kill()
+        running.wait()
+        running.stderr.close()
+
+
 def test_a_folder_in_use_is_waited_for_and_then_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hold = f"""
 import time

@@ -4,6 +4,7 @@ import csv
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,10 @@ import torch
 
 from facerelight.cli import main, read_config
 from facerelight.config import QUALITIES, quality_config
+from facerelight.model.image_store import ImageStore
 from facerelight.model.statistics import FaceStatistics
+from facerelight.train.cross_validation import choose_face_options
+from facerelight.train.run import train
 
 CONFIG = Path(__file__).parents[2] / "configs" / "tiny.yaml"
 
@@ -30,6 +34,20 @@ def test_two_processes_learn_the_same_statistics_as_one(tmp_path: Path) -> None:
     assert one.keys() == two.keys()
     assert all(torch.allclose(one[name], two[name], atol=1e-5) for name in one)
     assert not (tmp_path / "two" / "images").exists()
+
+
+def test_rank_and_temper_are_chosen_where_asked(tmp_path: Path) -> None:
+    """The options of the statistics are those that cross-validation over the same heads takes."""
+    config = replace(read_config(CONFIG), heads=7, height=24, width=21, lights=12, choose_rank=True)
+    train(config, tmp_path, workers=0, keep_images=True)
+    statistics = FaceStatistics.load(tmp_path / "statistics.safetensors")
+    every = torch.stack([torch.from_numpy(array.copy()) for array in ImageStore(tmp_path / "images")])
+    choice = choose_face_options(every, statistics.lights, options=config.fit)
+    assert statistics.face is not None
+    assert statistics.options == choice.options
+    assert len(statistics.face.n) == choice.options.face_rank != config.fit.face_rank
+    assert float(statistics.face.temper) == choice.options.temper
+    assert choice.errors[choice.options.face_rank, choice.options.temper] == min(choice.errors.values())
 
 
 def test_the_quick_form_of_the_trade_off_runs(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_algorithm_3_partitions_and_is_deterministic(samples: torch.Tensor) -> N
 def test_one_pixel_a_group_is_the_single_pixel_model(people: torch.Tensor, lights: torch.Tensor, inputs: int) -> None:
     statistics = FaceStatistics.fit(people[:12], lights, rank=29)  # a factor of full rank, as the fields have
     regions = make_regions([torch.tensor([p]) for p in range(PIXELS)])
-    group = GroupRelighter(LightViews(statistics), regions)(
+    group = GroupRelighter(LightViews(statistics), regions, noise=0)(
         people[13:15, :inputs], lights[:inputs], light_from_angles(12.0, 5.0)
     )
     single = StatisticalRelighter(statistics, noise=0)(
@@ -89,7 +89,7 @@ def test_groups_equal_a_slow_reference(views: LightViews, people: torch.Tensor, 
     """(5.6) written out for one group of three pixels and two inputs, in float64 NumPy."""
     group = torch.tensor([100, 101, 250])
     rest = torch.tensor([p for p in range(PIXELS) if p not in group.tolist()])
-    out = GroupRelighter(views, make_regions([group, *rest[:, None]]), "sample")(
+    out = GroupRelighter(views, make_regions([group, *rest[:, None]]), "sample", noise=0)(
         people[13:14, :2], lights[:2], lights[7]
     )
     known = views.fields([lights[7], *lights[:2]])
@@ -113,7 +113,8 @@ def test_groups_equal_a_slow_reference(views: LightViews, people: torch.Tensor, 
 def test_groups_are_consistent(
     views: LightViews, samples: torch.Tensor, people: torch.Tensor, lights: torch.Tensor, kind: str
 ) -> None:
-    relighter = GroupRelighter(views, make_regions(group_by_correlation(samples, 5)), kind)  # type: ignore[arg-type]
+    regions = make_regions(group_by_correlation(samples, 5))
+    relighter = GroupRelighter(views, regions, kind, noise=0)  # type: ignore[arg-type]
     out = relighter(people[13:14, :2], lights[:2], lights[1])
     assert (out.mean - people[13, 1]).abs().max() < 0.5 / 255
     assert out.variance.max() < 1e-6

@@ -190,7 +190,8 @@ def _channels(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
     if image.mode == "I" or image.mode.startswith("I;16"):
         return np.array(image).astype(np.int64).clip(0, 65535).astype(np.uint16), None
     grey = image.mode in ("1", "L", "LA", "La")
-    if "A" in image.getbands() or "a" in image.getbands() or "transparency" in image.info:
+    alpha = image.mode != "LAB" and not {"A", "a"}.isdisjoint(image.getbands())  # LAB's A is a colour
+    if alpha or "transparency" in image.info:
         mode = "LA" if grey else "RGBA"
         whole = np.array(image.convert(mode))
         return np.ascontiguousarray(whole[..., 0] if grey else whole[..., :3]), np.ascontiguousarray(whole[..., -1])

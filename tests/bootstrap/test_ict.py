@@ -1,0 +1,72 @@
+"""Heads of the format of ICT-FaceKit, made up here: a ball with eyes, a mouth, teeth and two modes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from facerelight.bootstrap.heads import IctHeads
+
+MODE = np.array((0.0, 0.0, 0.5))  # one of the modes lifts the crown by that
+
+
+@pytest.fixture
+def packed(tmp_path: Path) -> Path:
+    mesh = trimesh.creation.icosphere(3, radius=10)
+    vertices = np.array(mesh.vertices) + np.array((3, 40, 1))
+    part = np.zeros(len(mesh.faces), int)
+    part[:5], part[5:9] = 1, 2
+    marks = np.full(68, 20)
+
+    def nearest(place: tuple[float, float, float]) -> int:
+        return int(((mesh.vertices - np.array(place)) ** 2).sum(1).argmin())
+
+    marks[36:42], marks[42:48], marks[48:] = nearest((-4, 3, 9)), nearest((4, 3, 9)), nearest((0, -5, 9))
+    modes = np.zeros((100, *vertices.shape))
+    crown = nearest((0, 10, 0))
+    modes[7, crown] = MODE
+    np.savez(
+        tmp_path / "ict_heads.npz",
+        vertices=vertices,
+        identity_basis=modes.astype(np.float32),
+        triangles=mesh.faces,
+        landmarks68=marks,
+        triangle_part=part,
+        part_names=np.array(["face", "teeth", "left eyeball"]),
+    )
+    return tmp_path / "ict_heads.npz"
+
+
+def test_identities_are_as_far_from_the_mean_as_asked(packed: Path) -> None:
+    """The crown moves by the mode times a standard normal number times the spread; eyes stay one unit apart."""
+    source = IctHeads(packed, spread=0.8)
+    with np.load(packed) as data:
+        scale = 1 / np.linalg.norm(np.diff(data["vertices"][data["landmarks68"]][[36, 42]], axis=0))
+    moved = np.array([(head.vertices - head.reference)[:, 2] for head in map(source.head, range(300))])
+    crown = np.abs(moved).max(0).argmax()
+    assert moved[:, crown].std() == pytest.approx(0.8 * MODE[2] * scale, rel=0.1)
+    assert np.abs(moved.mean(0)).max() < 0.15 * 0.8 * MODE[2] * scale
+    assert np.abs(np.delete(moved, crown, 1)).max() < 1e-6
+    head = source.head(3)
+    assert np.allclose(head.landmarks[:2].mean(0), 0, atol=1e-9)
+    assert np.linalg.norm(head.landmarks[1] - head.landmarks[0]) == pytest.approx(1)
+    assert head.landmarks[2, 1] < 0  # the mouth is below
+    assert np.array_equal(IctHeads(packed, spread=0.8).head(3).vertices, head.vertices)
+    assert not np.array_equal(IctHeads(packed, seed=1).head(3).vertices, head.vertices)
+
+
+def test_only_face_and_eyes_are_kept(packed: Path) -> None:
+    source = IctHeads(packed)
+    with np.load(packed) as data:
+        parts, triangles = data["triangle_part"], data["triangles"]
+    head = source.head(0)
+    assert np.array_equal(head.triangles, triangles[parts != 1])  # no teeth
+    assert set(head.is_eye.nonzero()[0]) == set(triangles[parts == 2].ravel())
+
+
+def test_another_file_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "other.npz", vertices=np.zeros((3, 3)))
+    for name in ("other.npz", "missing.npz"):
+        with pytest.raises(ValueError, match=rf"{name}: expected ict_heads\.npz"):
+            IctHeads(tmp_path / name)
