@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.checks import check_finite, check_index, check_shape
+from facerelight.numerics.checks import check_finite, check_index, check_noise, check_shape
 from facerelight.numerics.gaussian import condition_gaussian, positive_variance
 from facerelight.numerics.shrinkage import KINDS, Shrinkage, shrunk_covariance
 from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
-from facerelight.viewpoint.views import ViewSource, noise_in_radiance
+from facerelight.viewpoint.views import ViewSource
 
 __all__ = [
     "GroupRelighter",
@@ -141,7 +141,7 @@ class GroupRelighter:
         if shrinkage not in KINDS:
             raise ValueError(f"shrinkage: expected one of {', '.join(KINDS)}, got {shrinkage!r}")
         self.source, self.regions, self.shrinkage = source, regions, shrinkage
-        self.noise = noise_in_radiance(noise)
+        self.noise = check_noise(noise)
 
     def __call__(
         self,
@@ -181,7 +181,7 @@ class GroupRelighter:
         """(5.6) for known views: mean and variance of ``images (B, K, P)`` under ``target``, ``(B, P)``, and
         ``log_det (G,)``; what is linear in the inputs is that of their gains taken off."""
         known = self.source.fields([target, *views])
-        gain, unsure = known.gains(images)  # (B,), or (1,) where all are alike
+        gain, unsure = known.gains(images, self.noise)  # (B,), or (1,) where all are alike
         average = known.mean[0].double()
         seen = images / gain.to(images)[:, None, None] - known.mean[1:]  # (B, K, P)
         residual = torch.stack((seen, (-known.mean[1:]).expand_as(seen))).double()  # and of black inputs, (2, B, K, P)
@@ -207,7 +207,8 @@ class GroupRelighter:
         gain, unsure = gain[:, None], unsure[:, None]
         variance = gain.square() * (variance + unsure.square() * black.square()) + self.noise**2
         prior = prior + float(known.gain_spread) ** 2 * average.square() + self.noise**2
-        return gain * image, torch.minimum(variance, prior), torch.cat(log_det)
+        variance = torch.minimum(variance, gain.square().clamp_min(1) * prior)
+        return (gain * image).clamp_min(0), variance, torch.cat(log_det)
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
         """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""
