@@ -48,10 +48,9 @@ class Pixel:
         gain: float = 1.0,
         spread: float = 0.0,
         noise: float = 0.0,
-        before: float | None = None,
     ) -> tuple[float, float]:
         """Mean and variance of images ``gain`` times as bright as the model's, the gain known to within ``spread`` of
-        its logarithm (``before`` they were seen: to within that, which bounds the variance), noise as in the inputs."""
+        its logarithm, noise as in the inputs."""
         r_yy = np.array([[self.covariance(a, b) for b in sources] for a in sources])
         r_yy += (noise / gain) ** 2 * np.eye(len(sources))
         r_xy = np.array([self.covariance(target, a) for a in sources])
@@ -59,9 +58,6 @@ class Pixel:
         mean, black = (self.mean(target) + r_xy @ np.linalg.solve(r_yy, x - average) for x in (y / gain, 0 * y))
         left = self.covariance(target, target) - r_xy @ np.linalg.solve(r_yy, r_xy)
         variance = gain**2 * (left + spread**2 * black**2) + noise**2
-        if before is not None:
-            prior = self.covariance(target, target) + before**2 * self.mean(target) ** 2 + noise**2
-            variance = min(variance, max(1, gain) ** 2 * prior)
         return float(gain * mean), float(variance)
 
 
@@ -97,7 +93,6 @@ class Face:
         gain: float = 1.0,
         spread: float = 0.0,
         noise: float = 0.0,
-        before: float = 0.0,
         weight: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance ``(P,)`` given images ``y (K, P)``: the code from the whitened pixels, each counting
@@ -129,8 +124,7 @@ class Face:
         variance = own - np.array([cross[p] @ inverse[p] @ cross[p] for p in range(count)])
         variance = variance + np.einsum("pk,kl,pl->p", left, np.linalg.inv(precision), left)
         variance = gain**2 * (variance + spread**2 * black**2) + noise**2
-        prior = own + (out**2).sum(1) + before**2 * at**2 + noise**2
-        return gain * mean, np.minimum(variance, max(1, gain) ** 2 * prior)
+        return gain * mean, variance
 
 
 def gain(

@@ -294,9 +294,8 @@ class PersonPosterior:
         """The mixture of Gaussians that a pixel under ``target``, ``(3,)`` or amounts ``(n,)``, follows: one component
         a light hypothesis (3.6).
 
-        Its variances count noise and what is not known of the gain, and are not above the prior's, scaled where the
-        person is brighter than the average face. Behind the face, where nothing was learned, they are raised to those
-        at the edge.
+        Its variances count noise and what is not known of the gain. Behind the face, where nothing was learned, they
+        are raised to those at the edge.
         """
         light = (LightSum.single(target) if isinstance(target, Tensor) else target).insert(0)
         terms = light_terms(self.statistics, self.pixel, light, self.face)
@@ -333,7 +332,7 @@ class PersonPosterior:
             gain = evidence.gain
             variance = gain.value**2 * (variance + gain.spread**2 * black.square()) + self.noise_variance
             means.append(gain.value * mean)
-            variances.append(torch.minimum(variance, gain.value.square().clamp_min(1) * prior))
+            variances.append(variance)
         weight = [(1 - self.prior_share) / len(means)] * len(means) if means else []
         if self.prior_share > 0:
             means.append(average)

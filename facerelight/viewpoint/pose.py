@@ -190,7 +190,6 @@ class ViewRelighter:
         gains = known.gains(images, self.noise)
         face = face_of_views(known, self.rank)
         average, outputs, own = face.mean[0], face.loadings[:, 0], face.covariance[:, 0, 0]  # (P,), (P, k), (P,)
-        prior = own + outputs.square().sum(1) + float(known.gain_spread) ** 2 * average.square() + self.noise**2
         results = []
         for index, person in enumerate(images):
             gain, unsure = (part[min(index, len(part) - 1)] for part in gains)
@@ -200,7 +199,7 @@ class ViewRelighter:
             mean, black = (average[:, None] + left @ seen.code + (cross * seen.white).sum(1)).T
             variance = gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
             variance = variance + (left @ seen.spread).square().sum(-1) + unsure.square() * black.square()
-            variance = torch.minimum(gain.square() * variance + self.noise**2, gain.square().clamp_min(1) * prior)
+            variance = gain.square() * variance + self.noise**2
             results.append(((gain * mean).clamp_min(0), variance, seen.code[:, 0], seen.evidence))
         mean, variance, code, evidence = (torch.stack(part) for part in zip(*results, strict=True))
         return mean, variance, code, evidence

@@ -186,7 +186,7 @@ class GroupRelighter:
         seen = images / gain.to(images)[:, None, None] - known.mean[1:]  # (B, K, P)
         residual = torch.stack((seen, (-known.mean[1:]).expand_as(seen))).double()  # and of black inputs, (2, B, K, P)
         mean = average.expand(2, len(images), -1).clone()
-        variance, prior = mean.new_zeros(len(gain), len(average)), torch.zeros_like(average)
+        variance = mean.new_zeros(len(gain), len(average))
         step = max(1, GROUPS_AT_ONCE // len(images))  # each person has a factor
         log_det = []
         for region in self.regions:
@@ -199,15 +199,12 @@ class GroupRelighter:
                 y = residual[..., inputs].transpose(2, 3).flatten(3)  # (2, B, T, K r_in), view by view
                 given = condition_gaussian(own.new_zeros(r), y.new_zeros(y.shape[3]), own, cross, noisy, y)
                 mean[..., outputs] += given.mean
-                prior[outputs] = own.diagonal(dim1=1, dim2=2)
                 left = given.covariance.diagonal(dim1=2, dim2=3)  # (B, T, r_out)
-                variance[:, outputs] = positive_variance(left, prior[outputs])
+                variance[:, outputs] = positive_variance(left, own.diagonal(dim1=1, dim2=2))
                 log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1).mean(0))
         image, black = mean
         gain, unsure = gain[:, None], unsure[:, None]
         variance = gain.square() * (variance + unsure.square() * black.square()) + self.noise**2
-        prior = prior + float(known.gain_spread) ** 2 * average.square() + self.noise**2
-        variance = torch.minimum(variance, gain.square().clamp_min(1) * prior)
         return (gain * image).clamp_min(0), variance, torch.cat(log_det)
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
