@@ -64,7 +64,7 @@ class LikelihoodIlluminationEstimator(LightEstimator):
         stride = max(1, round((height * width / pixels) ** 0.5))
         index = torch.arange(height * width, device=statistics.lights.device).view(height, width)
         places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
-        grid = _near_lights(even_hemisphere(count).to(statistics.lights), statistics.lights)
+        grid = _in_rings(_near_lights(even_hemisphere(count).to(statistics.lights), statistics.lights))
         pixel = statistics.pixel if statistics.face is None else statistics.face.residual
         assert pixel is not None
         means, stds, rows, factors = [], [], [], []
@@ -198,3 +198,13 @@ def _near_lights(hemisphere: Tensor, lights: Tensor) -> Tensor:
     """``hemisphere`` and its mirror image behind the face, as far as bootstrap ``lights`` come near."""
     sphere = torch.cat((hemisphere, hemisphere * torch.tensor((1.0, 1.0, -1.0)).to(hemisphere)))
     return sphere[angular_distance(sphere[:, None], lights[None]).amin(1) < REACH]
+
+
+def _in_rings(grid: Tensor) -> Tensor:
+    """``grid (R, 3)`` along rings about the camera's axis, there and back: lights that follow each other lie side by
+    side, and so nearly equal posteriors that are read at one level give nearly one light."""
+    spacing = float(torch.cdist(grid, grid).kthvalue(2, dim=1).values.median())
+    ring = (grid[:, 2].clamp(-1, 1).acos() / spacing).round()
+    turn = torch.atan2(grid[:, 1], grid[:, 0]) * (1 - 2 * (ring % 2))
+    order = turn.argsort(stable=True)
+    return grid[order[ring[order].argsort(stable=True)]]

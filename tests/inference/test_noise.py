@@ -1,5 +1,7 @@
 """Noise of the inputs, and what the predictive variance counts: gain, light, noise."""
 
+import copy
+
 import pytest
 import torch
 from conftest import shaded_people
@@ -87,11 +89,56 @@ def test_every_hypothesis_of_a_known_light_meets_the_unknown_one(
 def test_without_an_estimator_the_statistics_tell_the_light(
     statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor
 ) -> None:
-    relighter = StatisticalRelighter(statistics, "face")
+    relighter = StatisticalRelighter(copy.deepcopy(statistics), "face")
     keys = set(relighter.state_dict())
-    made = relighter.condition(people[12:13, 3:4], draws=4).mean(lights[5:6])
-    assert (made - people[12:13, 5:6]).square().mean().sqrt() < 0.1
+    image, truth = people[12:13, 3:4], people[12:13, 5:6]
+    made = relighter.condition(image, draws=8).mean(lights[5:6])
+    known = relighter.condition(image, lights[3:4]).mean(lights[5:6])
+    unseen = relighter.condition(image, torch.zeros(1, 3)).mean(lights[5:6])
+    errors = [float((picture - truth).square().mean().sqrt()) for picture in (known, made, unseen)]
+    assert errors[1] < 0.5 * (errors[0] + errors[2])  # nearer to knowing the light than to knowing nothing
     assert set(relighter.state_dict()) == keys
+    relighter.load_state_dict(StatisticalRelighter(_darker(statistics), "face").state_dict())
+    again = relighter.condition(image, draws=8).mean(lights[5:6])
+    assert torch.equal(
+        again, StatisticalRelighter(_darker(statistics), "face").condition(image, draws=8).mean(lights[5:6])
+    )
+
+
+def _darker(statistics: FaceStatistics) -> FaceStatistics:
+    """Other statistics of the same shapes."""
+    other = copy.deepcopy(statistics)
+    state = other.state_dict()
+    state["v_mean"] = 0.5 * state["v_mean"]
+    other.load_state_dict(state)
+    return other
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_readings_of_one_brightness_do_not_pretend_to_be_many(
+    people: torch.Tensor, lights: torch.Tensor, model: str
+) -> None:
+    """Five images under nearly one light tell the gain hardly better than one; a black image, hidden pixels and noise
+    tell nothing."""
+    statistics = FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, brightness=True)
+    relighter = StatisticalRelighter(statistics, model)
+    near = torch.nn.functional.normalize(lights[4] + 0.01 * torch.randn(5, 3, generator=torch.manual_seed(0)), dim=1)
+    images = shaded_people(16, near, 0)[12:13]
+
+    def gain(*arguments, **options):
+        return relighter.condition(*arguments, **options).people[0].evidence[0].gain
+
+    one, five = gain(images[:, :1], near[:1]), gain(images, near)
+    assert 0.9 * one.spread < five.spread <= one.spread
+    two, black = images[:, :2], torch.cat((images[:, :2], torch.zeros_like(images[:, :1])), 1)
+    assert abs(gain(black, near[:3]).value / gain(two, near[:2]).value - 1) < 1e-6
+    nothing = gain(images[:, :1], near[:1], mask=torch.zeros(1, 24, 21))
+    assert (float(nothing.value), float(nothing.spread)) == (1.0, pytest.approx(float(statistics.gain_spread)))
+    spoilt, hidden = images[:, :1].clone(), torch.ones(1, 24, 21)
+    spoilt[..., :12, :], hidden[:, :12] = 5.0, 0
+    noise = torch.full_like(spoilt, 1 / 255)
+    noise[..., :12, :] = 100.0
+    assert abs(gain(spoilt, near[:1], noise=noise).value / gain(spoilt, near[:1], mask=hidden).value - 1) < 0.02
 
 
 def test_lights_near_each_other_are_drawn_with_one_error(lights: torch.Tensor) -> None:
