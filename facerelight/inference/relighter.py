@@ -16,6 +16,7 @@ from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.person import PersonPosterior
 from facerelight.inference.posterior import Lights, Posterior, Relit, check_targets
+from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -76,6 +77,7 @@ class StatisticalRelighter(nn.Module):
             raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
         self.noise = float(noise)
         self._terms: list[DirectionTerms] = []  # of the bootstrap's lights; in a list, as what follows
+        self._amounts: list[SoftLightEstimator] = []
         self._likelihood: list[LikelihoodIlluminationEstimator] = []  # in a list: no part of the module's state
 
     def condition(
@@ -194,6 +196,14 @@ class StatisticalRelighter(nn.Module):
         kept, here = self._terms, statistics.n_mean
         if not kept or (kept[0].mean.device, kept[0].mean.dtype) != (here.device, here.dtype):
             kept[:] = [direction_terms(statistics, pixel, statistics.lights, face)]
+        return kept[0]
+
+    def soft_estimator(self) -> SoftLightEstimator:
+        """Amounts of many lights under these statistics, made once; anew where they have moved to another device or
+        dtype."""
+        kept, here = self._amounts, self.statistics.n_mean
+        if not kept or (kept[0].model.mean.device, kept[0].model.mean.dtype) != (here.device, here.dtype):
+            kept[:] = [SoftLightEstimator(self.statistics).to(here)]
         return kept[0]
 
     def _own_estimator(self) -> LikelihoodIlluminationEstimator:

@@ -22,7 +22,7 @@ from facerelight.numerics.checks import check_radiance
 from facerelight.numerics.luminance import BLACK
 from facerelight.numerics.sampling import quasi_normal
 
-__all__ = ["SoftLightEstimator"]
+__all__ = ["AmountsBelief", "SoftLightEstimator"]
 
 SPREAD, REACH, ROUGH = 2.0, 0.5, 0.05
 """Prior of the logarithms of amounts: standard deviation, distance over which they go together on the unit sphere, and
