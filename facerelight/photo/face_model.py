@@ -35,7 +35,7 @@ __all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"
 
 LIGHT_DRAWS = 16
 MISFIT = 3.0  # grey levels of 255: what compression, pose and expression leave
-OWN_ERROR = 0.05  # of the radiance, by which fits to two photographs under one light differ
+ALIKE = 0.9  # cosine of the amounts of two photographs from which on their light is taken for one
 FAINTEST = 1e-4  # amount of light below which a crop is black
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
@@ -128,7 +128,7 @@ class FaceModel:
         sources, mask = [own], self.mask
         for crop in crops[1:]:
             other = face_mask(crop, self.frame)
-            sources.append(self._source(_luminance(crop), other, None))
+            sources.append(_sharing(own, self._source(_luminance(crop), other, None)))
             mask = torch.minimum(mask, other)
         self._mean, self._variance = self._conditioned(sources, mask, known, method)
         self.source_light = turn @ own.direction
@@ -158,8 +158,6 @@ class FaceModel:
         """What renders the person of the ``sources``, and its variance, under any light; ``known (3,)``, the light of
         the first where it is no estimate."""
         images, noise = (torch.stack(part) for part in zip(*((s.image, s.noise) for s in sources), strict=True))
-        if len(sources) > 1:
-            noise = torch.hypot(noise, OWN_ERROR * images)
         directions = self.lights if known is None else torch.cat((self.lights, known[None]))
         amounts = torch.stack([s.share(len(directions)) for s in sources])  # (K, n)
         light = LightSum(directions, amounts)
@@ -255,6 +253,15 @@ class FaceModel:
         apart = np.abs(np.log((blur(luminance, 2) + floor) / (blur(expected, 2) + floor)))
         agrees = np.clip((1 - apart) / 0.5, 0, 1)
         return blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
+
+
+def _sharing(first: SourceLight, other: SourceLight) -> SourceLight:
+    """``other`` under the very light of ``first`` where the two cannot be told apart: estimates differ by more than
+    lights of one session do."""
+    alike = torch.cosine_similarity(first.amounts, other.amounts, dim=0)
+    if first.belief is None or float(alike) < ALIKE:
+        return other
+    return other._replace(amounts=first.amounts * (other.amounts.sum() / first.amounts.sum()))
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:
