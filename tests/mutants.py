@@ -32,7 +32,7 @@ PERSON, VARIANCE = "inference/person.py", "inference/test_variance.py"
 LEARNING, COMPRESSION = "model/test_learning.py", "model/compression.py"
 
 MUTANTS = (
-    Mutant("gain prior", "model/brightness.py", "1 / spread**2 + trust.sum()", "trust.sum()", VARIANCE),
+    Mutant("gain prior", "model/brightness.py", "1 / spread**2 + ones @ ones", "ones @ ones", VARIANCE),
     Mutant("gain squared in the variance", PERSON, "gain.value**2 * (variance", "gain.value * (variance", VARIANCE),
     Mutant("scale of the loadings", "model/subjects.py", "(scale * values / (count", "(values / (count", LEARNING),
     Mutant(
@@ -45,8 +45,8 @@ MUTANTS = (
     Mutant(
         "variance that the basis loses",
         "model/covariance.py",
-        "positive_root(near @ face.v_power",
-        "0 * positive_root(near @ face.v_power",
+        "positive_root(near @ _some(face.v_power",
+        "0 * positive_root(near @ _some(face.v_power",
         VARIANCE,
     ),
     Mutant(
@@ -100,24 +100,17 @@ MUTANTS = (
         VARIANCE,
     ),
     Mutant(
-        "prior as the variance's bound",
-        PERSON,
-        "variances.append(torch.minimum(variance, prior))",
-        "variances.append(variance)",
-        VARIANCE,
-    ),
-    Mutant(
         "variance behind the face",
         PERSON,
-        "share * new[:, None] * self._components(edge).variance",
+        "new[:, None] * self._components(at_edge).variance",
         "0 * new[:, None]",
         "test_hard_cases.py -k pixel-float32-lights-in-the",
     ),
     Mutant(
         "errors of lights together",
-        "light/estimator.py",
-        "torch.exp(-0.5 * squared / ERROR_REACH**2)",
-        "torch.exp(-squared / ERROR_REACH**2)",
+        "numerics/kernels.py",
+        "torch.exp(-0.5 * squared / reach**2)",
+        "torch.exp(-squared / reach**2)",
         "light/test_kernel.py",
     ),
     Mutant(

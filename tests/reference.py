@@ -48,10 +48,9 @@ class Pixel:
         gain: float = 1.0,
         spread: float = 0.0,
         noise: float = 0.0,
-        before: float | None = None,
     ) -> tuple[float, float]:
         """Mean and variance of images ``gain`` times as bright as the model's, the gain known to within ``spread`` of
-        its logarithm (``before`` they were seen: to within that, which bounds the variance), noise as in the inputs."""
+        its logarithm, noise as in the inputs."""
         r_yy = np.array([[self.covariance(a, b) for b in sources] for a in sources])
         r_yy += (noise / gain) ** 2 * np.eye(len(sources))
         r_xy = np.array([self.covariance(target, a) for a in sources])
@@ -59,9 +58,6 @@ class Pixel:
         mean, black = (self.mean(target) + r_xy @ np.linalg.solve(r_yy, x - average) for x in (y / gain, 0 * y))
         left = self.covariance(target, target) - r_xy @ np.linalg.solve(r_yy, r_xy)
         variance = gain**2 * (left + spread**2 * black**2) + noise**2
-        if before is not None:
-            prior = self.covariance(target, target) + before**2 * self.mean(target) ** 2 + noise**2
-            variance = min(variance, prior)
         return float(gain * mean), float(variance)
 
 
@@ -97,7 +93,6 @@ class Face:
         gain: float = 1.0,
         spread: float = 0.0,
         noise: float = 0.0,
-        before: float = 0.0,
         weight: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance ``(P,)`` given images ``y (K, P)``: the code from the whitened pixels, each counting
@@ -129,15 +124,30 @@ class Face:
         variance = own - np.array([cross[p] @ inverse[p] @ cross[p] for p in range(count)])
         variance = variance + np.einsum("pk,kl,pl->p", left, np.linalg.inv(precision), left)
         variance = gain**2 * (variance + spread**2 * black**2) + noise**2
-        prior = own + (out**2).sum(1) + before**2 * at**2 + noise**2
-        return gain * mean, np.minimum(variance, prior)
+        return gain * mean, variance
 
 
-def gain(images: np.ndarray, expected: np.ndarray, spread: float, noise: np.ndarray) -> tuple[float, float]:
-    """The brightness of a person: least squares for each of ``images (K, P)``, readings whose logarithms err by
-    ``noise (K,)``, people's logarithms normal about 0 with ``spread``; and the standard deviation that is left."""
-    read = np.array([np.linalg.lstsq(e[:, None], i, rcond=None)[0][0] for i, e in zip(images, expected, strict=True)])
-    covariance = np.full((len(read), len(read)), spread**2) + np.diag(noise**2)
-    shared = np.full(len(read), spread**2)
-    weights = np.linalg.solve(covariance, shared)
+def gain(
+    images: np.ndarray,
+    expected: np.ndarray,
+    spread: float,
+    noise: np.ndarray,
+    lights: np.ndarray,
+    sigma: float = 0.0,
+    mask: np.ndarray | None = None,
+) -> tuple[float, float]:
+    """The brightness of a person: weighted least squares for each of ``images (K, P)``, readings whose logarithms err
+    by ``noise (K,)``, alike under ``lights (K, 3)`` near each other, and by the images' own noise ``sigma``; people's
+    logarithms normal about 0 with ``spread``; and the standard deviation that is left."""
+    count = len(images)
+    read, own = np.empty(count), np.empty(count)
+    for k, (image, face) in enumerate(zip(images, expected, strict=True)):
+        weight = (np.ones(len(face)) if mask is None else mask) / (1 + sigma**2 / (face**2).mean())
+        root = np.sqrt(weight)
+        read[k] = np.linalg.lstsq((face * root)[:, None], image * root, rcond=None)[0][0]
+        own[k] = sigma * np.linalg.norm(weight * face) / (weight @ (image * face))
+    apart = ((lights[:, None] - lights) ** 2).sum(-1)
+    errors = np.outer(noise, noise) * (0.95 * np.exp(-apart / (2 * 0.95**2)) + 0.05 * np.eye(count))
+    shared = np.full(count, spread**2)
+    weights = np.linalg.solve(spread**2 + errors + np.diag(own**2), shared)
     return float(np.exp(weights @ np.log(read))), float(np.sqrt(spread**2 - weights @ shared))

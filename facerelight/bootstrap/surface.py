@@ -129,7 +129,7 @@ def _edge_points(head: Head, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     level = np.maximum(np.abs(normal[:, 2]), np.linalg.norm(normal, axis=1) / STEEP).clip(1e-30)
     rise = -normal[:, :2] * np.sign(normal[:, 2:] + 1e-300) / level[:, None]  # (T, 2)
     climb = np.stack((rise[:, 0], -rise[:, 0], rise[:, 1], -rise[:, 1])).repeat(3, 1)  # (4, E)
-    edges = np.sort(corners.reshape(-1, 2), 1)
+    edges = np.sort(corners.reshape(-1, 2).astype(np.int64), 1)  # meshes of few vertices count them in 16 bits
     _, which, count = np.unique(edges[:, 0] * len(head.vertices) + edges[:, 1], return_inverse=True, return_counts=True)
     climb = np.where(count[which.ravel()] == 1, STEEP, climb)
     start, along = head.vertices[edges[:, 0]], head.vertices[edges[:, 1]] - head.vertices[edges[:, 0]]

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.person import edges, is_behind
 from facerelight.inference.posterior import Relit
-from facerelight.model.brightness import read_gain
+from facerelight.model.brightness import read_gain, reading_errors, reading_weight
 from facerelight.model.covariance import (
     LightTerms,
     deviation_covariance,
@@ -37,6 +38,7 @@ class MaximumLikelihood:
         noise: standard deviation of the images' noise in radiance, ``(K, 1)`` or ``(K, P)``; None: none, and the images
             are returned exactly.
         mask: ``(H, W)``, 0 where the images do not show the face and so say nothing about its brightness.
+        new_noise: standard deviation of the noise of the images that are rendered, which their variance counts.
 
     Raises:
         ValueError: fewer than three lights, or lights (nearly) in one plane; says how many and the condition number.
@@ -49,12 +51,13 @@ class MaximumLikelihood:
         lights: Tensor | LightSum,
         noise: Tensor | None = None,
         mask: Tensor | None = None,
+        new_noise: float = 0.0,
     ) -> None:
         assert statistics.pixel is not None
         self.statistics, self._pixel = statistics, statistics.pixel
         self.terms = light_terms(statistics, statistics.pixel, _lights(lights))
         self.lights = self.terms.light
-        singular = torch.linalg.svdvals(torch.nn.functional.normalize(self.lights.double(), dim=1))
+        singular = torch.linalg.svdvals(normalize(self.lights.double(), dim=1))
         condition = float(singular[0] / singular[-1]) if len(self.lights) >= 3 and singular[-1] > 0 else float("inf")
         if condition > LARGEST_CONDITION:
             raise ValueError(
@@ -63,12 +66,14 @@ class MaximumLikelihood:
                 " give more lights or use method='expected'"
             )
         covariance = deviation_covariance(statistics, statistics.pixel, self.terms, self.terms)  # (P, K, K)
-        pixels = images.flatten(1)  # (K, P)
-        sigma = images.new_zeros(len(images), 1, dtype=torch.float64) if noise is None else noise.double()
-        self.noise_variance = sigma.square().mean(0)  # of a new image, (1,) or (P,)
-        trusted = gain_noise(statistics, self.terms)
-        weight = None if mask is None else mask.flatten()
-        self.gain = read_gain(pixels, self.terms.mean, float(statistics.gain_spread), trusted, weight)
+        pixels = images.flatten(1).to(statistics.n_mean)  # (K, P)
+        sigma = pixels.new_zeros(len(images), 1) if noise is None else noise
+        sigma = sigma.to(device=pixels.device, dtype=torch.float64)
+        self.noise_variance = new_noise**2  # of a new image
+        expected = self.terms.mean
+        counted = reading_weight(expected, sigma, None if mask is None else mask.flatten().to(pixels))
+        errors = reading_errors(gain_noise(statistics, self.terms), normalize(self.lights, dim=1), expected, counted)
+        self.gain = read_gain(pixels, expected, float(statistics.gain_spread), errors, counted, sigma)
         self.factor = gaussian.safe_cholesky(observed(covariance, sigma.T / self.gain.value))
         average = self.terms.weights @ statistics.v_mean.flatten(1)  # (K, P)
         # y - mu_v of the images, and of black ones: (P, K, 2)

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
-from facerelight.model.brightness import Gain, read_gain, reading_noise
+from facerelight.model.brightness import Gain, read_gain, reading_errors, reading_weight
 from facerelight.model.covariance import (
     DirectionTerms,
     LightTerms,
@@ -80,8 +81,9 @@ class PersonPosterior:
         covariance: "pixel" or "face".
         mask: ``(H, W)``, 0 where the images do not show the face (hair, a hat) and so say nothing about the whole-face
             code.
-        noise: standard deviation of the inputs' noise in radiance, ``(K, 1)`` or ``(K, P)``; a new image is taken to be
-            as noisy as they are on average. None: none, and inputs are returned exactly.
+        noise: standard deviation of the inputs' noise in radiance, ``(K, 1)`` or ``(K, P)``. None: none, and inputs are
+            returned exactly.
+        new_noise: that of the images that are rendered, which their variance counts.
         shared: terms of the directions that all hypotheses share, where they are known already.
     """
 
@@ -93,6 +95,7 @@ class PersonPosterior:
         covariance: str,
         mask: Tensor | None = None,
         noise: Tensor | None = None,
+        new_noise: float = 0.0,
         shared: DirectionTerms | None = None,
     ) -> None:
         self.statistics = statistics
@@ -103,7 +106,7 @@ class PersonPosterior:
         self.visible = None if mask is None else mask.flatten().double()
         pixels = images.flatten(1)
         sigma = images.new_zeros(len(images), 1, dtype=torch.float64) if noise is None else noise.double()
-        self.noise_variance = sigma.square().mean(0)  # of a new image, (1,) or (P,)
+        self.noise_variance = new_noise**2  # of a new image
         self.n_map = torch.zeros_like(statistics.n_mean.flatten(1))
         self.v_map = torch.zeros_like(statistics.v_mean.flatten(1))
         self.pull = torch.zeros_like(self.v_map)
@@ -134,10 +137,11 @@ class PersonPosterior:
         statistics, pixel = self.statistics, self.pixel
         covariance = image_covariance(statistics, pixel, terms, terms)  # (P, K, K)
         loadings = None if self.face is None else loadings_at(self.face, terms)  # (K, k, P)
-        unsure = gain_noise(statistics, terms)  # (K,)
-        if loadings is not None and self.visible is not None:
-            unsure = reading_noise(unsure, terms.mean, loadings, self.visible)
-        known = read_gain(images, terms.mean, float(statistics.gain_spread), unsure, self.visible)
+        counted = reading_weight(terms.mean, noise, self.visible)  # (K, P)
+        errors = reading_errors(
+            gain_noise(statistics, terms), normalize(terms.light, dim=1), terms.mean, counted, loadings
+        )  # (K, K)
+        known = read_gain(images, terms.mean, float(statistics.gain_spread), errors, counted, noise)
         gain = known.value
         cholesky = gaussian.safe_cholesky(observed(covariance, noise.T / gain))  # (P, K, K)
         residual = torch.stack((images / gain - terms.mean, -terms.mean), -1).double().transpose(0, 1)  # (P, K, 2)
@@ -290,8 +294,8 @@ class PersonPosterior:
         """The mixture of Gaussians that a pixel under ``target``, ``(3,)`` or amounts ``(n,)``, follows: one component
         a light hypothesis (3.6).
 
-        Its variances count noise and what is not known of the gain, and are never above the prior's. Behind the face,
-        where nothing was learned, they are never below those at the edge.
+        Its variances count noise and what is not known of the gain. Behind the face, where nothing was learned, they
+        are raised to those at the edge.
         """
         light = (LightSum.single(target) if isinstance(target, Tensor) else target).insert(0)
         terms = light_terms(self.statistics, self.pixel, light, self.face)
@@ -328,7 +332,7 @@ class PersonPosterior:
             gain = evidence.gain
             variance = gain.value**2 * (variance + gain.spread**2 * black.square()) + self.noise_variance
             means.append(gain.value * mean)
-            variances.append(torch.minimum(variance, prior))
+            variances.append(variance)
         weight = [(1 - self.prior_share) / len(means)] * len(means) if means else []
         if self.prior_share > 0:
             means.append(average)

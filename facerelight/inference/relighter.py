@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -26,11 +26,12 @@ from facerelight.model.file import replacing
 from facerelight.model.registration import deform
 from facerelight.model.registration import register as find_deformation
 from facerelight.model.statistics import FaceStatistics
-from facerelight.numerics.checks import check_mask, check_radiance, check_shape
+from facerelight.numerics.checks import check_mask, check_noise, check_radiance, check_shape
 
 __all__ = ["StatisticalRelighter"]
 
 Covariance = Literal["pixel", "face"]
+Made = TypeVar("Made")
 
 
 class StatisticalRelighter(nn.Module):
@@ -73,12 +74,9 @@ class StatisticalRelighter(nn.Module):
         self.statistics = statistics
         self.covariance = covariance
         self.estimator = estimator
-        if not (math.isfinite(noise) and noise >= 0):
-            raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
+        check_noise(noise)
         self.noise = float(noise)
-        self._terms: list[DirectionTerms] = []  # of the bootstrap's lights; in a list, as what follows
-        self._amounts: list[SoftLightEstimator] = []
-        self._likelihood: list[LikelihoodIlluminationEstimator] = []  # in a list: no part of the module's state
+        self._kept: dict[str, tuple[object, Any]] = {}  # made of the statistics when first needed; no part of the state
 
     def condition(
         self,
@@ -116,12 +114,12 @@ class StatisticalRelighter(nn.Module):
         """
         given, images = images, self._checked(images)
         if mask is not None:
-            mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:]))
+            mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:])).to(images.device)
         hypotheses = self._hypotheses(images, source_lights, estimator or self.estimator, draws, generator, mask)
         noise = self._input_noise(images, noise)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
-            deformations, images, mask = self._registered(images, hypotheses, mask, noise)
+            deformations, images, mask, noise = self._registered(images, hypotheses, mask, noise)
             if source_lights is None:  # once more, now that it is in step with the model
                 hypotheses = self._hypotheses(images, None, estimator or self.estimator, draws, generator, mask)
         shared = self._shared_terms(hypotheses)
@@ -133,6 +131,7 @@ class StatisticalRelighter(nn.Module):
                 self.covariance,
                 None if mask is None else mask[index],
                 noise[index],
+                self.noise / 255,
                 shared,
             )
             for index, person in enumerate(images)
@@ -193,41 +192,48 @@ class StatisticalRelighter(nn.Module):
         if not own or directions.requires_grad:
             few = lights.amounts.shape[:-1].numel() == 1
             return None if few else direction_terms(statistics, pixel, directions, face)
-        kept, here = self._terms, statistics.n_mean
-        if not kept or (kept[0].mean.device, kept[0].mean.dtype) != (here.device, here.dtype):
-            kept[:] = [direction_terms(statistics, pixel, statistics.lights, face)]
-        return kept[0]
+        return self._made_once(
+            f"terms, {self.covariance}", lambda: direction_terms(statistics, pixel, statistics.lights, face)
+        )
+
+    def _made_once(self, what: str, make: Callable[[], Made]) -> Made:
+        """What ``make`` makes of the statistics; anew where they have changed or moved."""
+        here = self.statistics.n_mean
+        state = (self.statistics.key, here.device, here.dtype)
+        if what not in self._kept or self._kept[what][0] != state:
+            self._kept[what] = (state, make())
+        return self._kept[what][1]
 
     def soft_estimator(self) -> SoftLightEstimator:
-        """Amounts of many lights under these statistics, made once; anew where they have moved to another device or
-        dtype."""
-        kept, here = self._amounts, self.statistics.n_mean
-        if not kept or (kept[0].model.mean.device, kept[0].model.mean.dtype) != (here.device, here.dtype):
-            kept[:] = [SoftLightEstimator(self.statistics).to(here)]
-        return kept[0]
+        """Amounts of many lights under these statistics."""
+        return self._made_once("amounts", lambda: SoftLightEstimator(self.statistics).to(self.statistics.n_mean))
 
     def _own_estimator(self) -> LikelihoodIlluminationEstimator:
-        """The likelihood of the statistics, made once; anew where they have moved to another device or dtype."""
-        kept, here = self._likelihood, self.statistics.n_mean
-        if not kept or (kept[0].mean.device, kept[0].mean.dtype) != (here.device, here.dtype):
-            kept[:] = [LikelihoodIlluminationEstimator(self.statistics).to(here)]
-        return kept[0]
+        """The likelihood of the statistics."""
+        return self._made_once(
+            "likelihood", lambda: LikelihoodIlluminationEstimator(self.statistics).to(self.statistics.n_mean)
+        )
 
     def _input_noise(self, images: Tensor, noise: Tensor | None) -> Tensor:
         """Standard deviation of the noise of ``images (B, K, H, W)``, radiance, ``(B, K, 1)`` or ``(B, K, P)``."""
         if noise is None:
             return images.new_full((*images.shape[:2], 1), self.noise / 255, dtype=torch.float64)
-        if tuple(noise.shape) not in (tuple(images.shape[:2]), tuple(images.shape)) or not (noise >= 0).all():
+        known = isinstance(noise, Tensor) and noise.is_floating_point()
+        if not known or tuple(noise.shape) not in (tuple(images.shape[:2]), tuple(images.shape)):
+            shape = tuple(noise.shape) if known else repr(noise)
             raise ValueError(
-                f"noise: expected radiance of 0 or more, {tuple(images.shape[:2])} or {tuple(images.shape)},"
-                f" got {tuple(noise.shape)}; give a standard deviation for each image, or for each pixel"
+                f"noise: expected a floating tensor {tuple(images.shape[:2])} or {tuple(images.shape)}, got {shape};"
+                " give a standard deviation for each image, or for each pixel"
             )
-        return noise.to(images.device).double().reshape(*images.shape[:2], -1)
+        if not ((noise >= 0) & torch.isfinite(noise)).all():
+            raise ValueError("noise: expected finite radiance of 0 or more, got less, NaN or infinity")
+        pixels = noise.flatten(2) if noise.dim() == 4 else noise[..., None]
+        return pixels.to(device=images.device, dtype=torch.float64)
 
     def _registered(
         self, images: Tensor, hypotheses: LightSum, mask: Tensor | None, noise: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Deformations ``(B, 6)``, and images ``(B, K, H, W)`` and mask ``(B, H, W)`` brought into the model's
+    ) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
+        """Deformations ``(B, 6)``, and images ``(B, K, H, W)``, mask ``(B, H, W)`` and noise brought into the model's
         place."""
         found = [
             self._registration(person, hypotheses[index], None if mask is None else mask[index], noise[index])
@@ -236,7 +242,14 @@ class StatisticalRelighter(nn.Module):
         images = torch.stack([deform(person, theta) for person, theta in zip(images, found, strict=True)])
         if mask is not None:
             mask = torch.stack([deform(m, theta).clamp(0, 1) for m, theta in zip(mask, found, strict=True)])
-        return torch.stack(found), images, mask
+        noise = torch.stack([self._deformed(n, theta) for n, theta in zip(noise, found, strict=True)])
+        return torch.stack(found), images, mask, noise
+
+    def _deformed(self, noise: Tensor, theta: Tensor) -> Tensor:
+        """Noise ``(K, P)`` as its images are deformed; ``(K, 1)`` stays."""
+        if noise.shape[1] == 1:
+            return noise
+        return deform(noise.unflatten(1, self.statistics.size).to(theta), theta).clamp_min(0).flatten(1).to(noise)
 
     def _registration(self, images: Tensor, tried: LightSum, mask: Tensor | None, noise: Tensor) -> Tensor:
         """The deformation of one face under the mean of the lights ``tried``, amounts ``(M, K, n)``: to the average
@@ -245,13 +258,15 @@ class StatisticalRelighter(nn.Module):
         seen = light.amounts.sum(-1) > 0
         if not seen.any():
             return images.new_zeros(6)
-        images, light, noise = images[seen], light[seen], noise[seen]
+        seen_images, light, noise = images[seen], light[seen], noise[seen]
         size = self.statistics.size
-        theta = find_deformation(images, prior_mean(self.statistics, light).unflatten(-1, size), weight=mask)
+        theta = find_deformation(seen_images, prior_mean(self.statistics, light).unflatten(-1, size), weight=mask)
         if self.covariance == "pixel":
             return theta
-        person = PersonPosterior(self.statistics, deform(images, theta), light.insert(0), "face", mask, noise)
-        return find_deformation(images, person.explained().unflatten(-1, size), theta, mask)
+        person = PersonPosterior(
+            self.statistics, deform(images, theta), light.insert(0), "face", mask, self._deformed(noise, theta)
+        )
+        return find_deformation(seen_images, person.explained().unflatten(-1, size), theta, mask)
 
     def forward(
         self,
@@ -303,7 +318,9 @@ class StatisticalRelighter(nn.Module):
             known = _known_sums(lights, count, inputs).to(images)
         noise = self._input_noise(images, None)
         people = [
-            MaximumLikelihood(self.statistics, person, known[index][0], noise[index]).relight(wanted[index])
+            MaximumLikelihood(
+                self.statistics, person, known[index][0], noise[index], new_noise=self.noise / 255
+            ).relight(wanted[index])
             for index, person in enumerate(images)
         ]
         if not people:

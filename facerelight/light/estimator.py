@@ -16,6 +16,7 @@ from facerelight.geometry.sums import LightSum
 from facerelight.numerics.buffers import LearnedModule
 from facerelight.numerics.checks import check_mask, check_radiance
 from facerelight.numerics.gaussian import safe_cholesky
+from facerelight.numerics.kernels import error_correlation
 from facerelight.numerics.sampling import quasi_normal
 
 __all__ = ["GaussianBelief", "LightBelief", "LightEstimate", "LightEstimator", "shared_errors"]
@@ -66,10 +67,7 @@ def shared_errors(directions: Tensor) -> Tensor:
     An estimator is wrong about a light mostly because of the person, and so alike for lights that are near each other:
     two images under nearly one light must not be taken for images under two.
     """
-    squared = torch.cdist(directions.double(), directions.double()).square()
-    own = OWN_ERROR * torch.eye(directions.shape[1], dtype=torch.float64, device=directions.device)
-    correlation = torch.exp(-0.5 * squared / ERROR_REACH**2) * (1 - OWN_ERROR) + own
-    return safe_cholesky(correlation).to(directions)
+    return safe_cholesky(error_correlation(directions, ERROR_REACH, OWN_ERROR)).to(directions)
 
 
 class LightEstimator(LearnedModule):

@@ -8,9 +8,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["Gain", "read_gain", "reading_noise"]
+from facerelight.numerics.gaussian import safe_cholesky, solve_lower
+from facerelight.numerics.kernels import error_correlation
 
-LEAST_READ = 1e-3
+__all__ = ["Gain", "read_gain", "reading_errors", "reading_weight"]
+
+LEAST_READ = 1e-3  # of the average face's brightness
+LEAST_SEEN = 1e-6  # of the average face's power
+ERROR_REACH, OWN_ERROR = 0.95, 0.05  # of readings, on the unit sphere of lights
 
 
 class Gain(NamedTuple):
@@ -21,42 +26,64 @@ class Gain(NamedTuple):
     spread: Tensor
 
 
-def read_gain(images: Tensor, expected: Tensor, spread: float, noise: Tensor, weight: Tensor | None = None) -> Gain:
-    """The least-squares gain of each input, shrunk towards 1 as its noise demands.
+def read_gain(
+    images: Tensor, expected: Tensor, spread: float, errors: Tensor, weight: Tensor, noise: Tensor | float = 0.0
+) -> Gain:
+    """The least-squares gain of each input, and of all together with what is known of people beforehand.
+
+    An image without light, or without a pixel that counts, tells nothing.
 
     Args:
         images: ``(K, P)`` radiance of one person.
         expected: ``(K, P)``, the average face under the same lights.
         spread: of the logarithm of people's gains; 0: every gain is 1.
-        noise: ``(K,)``, that of the logarithm of a gain read off one image.
-        weight: ``(P,)``, how much each pixel counts; None: all alike.
+        errors: ``(K, K)``, covariance of the errors of the logarithms that are read, see :func:`reading_errors`.
+        weight: ``(K, P)``, how much each pixel counts, see :func:`reading_weight`.
+        noise: standard deviation of the images' noise, radiance, broadcast to ``(K, P)``.
     """
+    one = images.new_ones((), dtype=torch.float64)
     if spread == 0:
-        one = images.new_ones((), dtype=torch.float64)
         return Gain(one, torch.zeros_like(one))
-    weight = torch.ones_like(expected[0]) if weight is None else weight.to(expected)
-    power = (expected.square() @ weight).clamp_min(1e-12)  # (K,)
-    read = ((images * expected) @ weight / power).clamp_min(LEAST_READ).log().double()
-    trust = 1 / noise.double().square()
-    precision = 1 / spread**2 + trust.sum()
-    return Gain(torch.exp((read * trust).sum() / precision), precision.rsqrt())
+    seen, counted = images.double(), weight.double() * expected.double()
+    power, slope = (counted * expected).sum(1), (counted * seen).sum(1)  # (K,)
+    tells = (power > LEAST_SEEN * expected.double().square().sum(1)) & (slope > LEAST_READ * power)
+    if not tells.any():
+        return Gain(one, spread * one)
+    read = (slope[tells] / power[tells]).log()
+    noisy = (counted * noise).square().sum(1)[tells] / slope[tells].square()
+    factor = safe_cholesky(errors.double()[tells][:, tells] + torch.diag(noisy))
+    ones, white = solve_lower(factor, torch.stack((torch.ones_like(read), read), 1)).unbind(1)
+    precision = 1 / spread**2 + ones @ ones
+    return Gain(torch.exp(ones @ white / precision), precision.rsqrt())
 
 
-def reading_noise(noise: Tensor, expected: Tensor, loadings: Tensor, weight: Tensor) -> Tensor:
-    """How unsure a gain is that is read off a part of the face, ``(K,)``, of its logarithm.
+def reading_weight(expected: Tensor, noise: Tensor, mask: Tensor | None = None) -> Tensor:
+    """How much each pixel counts where a gain is read, ``(K, P)``: less, the more ``noise`` it has beside the
+    ``expected`` face, and as much as the ``mask (P,)`` says."""
+    weight = 1 / (1 + noise.double().square() / expected.double().square().mean(1, keepdim=True).clamp_min(1e-12))
+    return (weight if mask is None else weight * mask).expand_as(expected)
 
-    A reading errs with what people differ in besides brightness. A part of the face averages less of that out than the
-    whole, by as much as the whole-face loadings tell.
+
+def reading_errors(
+    noise: Tensor, lights: Tensor, expected: Tensor, weight: Tensor, loadings: Tensor | None = None
+) -> Tensor:
+    """Covariance ``(K, K)`` of the errors of the logarithms of gains, each read off one image.
+
+    A reading errs with what people differ in besides brightness, and so alike under lights that are near each other. A
+    part of the face averages less of that out than the whole, by as much as the whole-face loadings tell; without them,
+    as if pixels differed on their own.
 
     Args:
-        noise: ``(K,)``, of a gain read off whole images.
-        expected: ``(K, P)``, the average face under the images' lights.
-        loadings: ``(K, k, P)`` there.
-        weight: ``(P,)``, how much each pixel counts.
+        noise: ``(K,)``, standard deviation of a reading off a whole image.
+        lights: ``(K, 3)``, unit vectors.
+        expected, weight: see :func:`read_gain`.
+        loadings: ``(K, k, P)`` under the lights.
     """
 
     def deviation(counted: Tensor) -> Tensor:  # counted (K, P), of the least-squares reading
         reading = counted / (counted * expected).sum(1, keepdim=True).clamp_min(1e-12)
-        return (loadings @ reading[..., None])[..., 0].norm(dim=1)
+        return (reading if loadings is None else (loadings @ reading[..., None])[..., 0]).norm(dim=1)
 
-    return noise * deviation(expected * weight.to(expected)) / deviation(expected).clamp_min(1e-6)
+    wider = deviation(expected * weight.to(expected)) / deviation(expected).clamp_min(1e-12)
+    deviations = (noise * wider).double()
+    return deviations[:, None] * deviations * error_correlation(lights, ERROR_REACH, OWN_ERROR)

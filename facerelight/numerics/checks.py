@@ -6,6 +6,7 @@ They return what they checked, so that a mask of integers comes back as the bool
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -15,6 +16,7 @@ __all__ = [
     "check_finite",
     "check_index",
     "check_mask",
+    "check_noise",
     "check_radiance",
     "check_shape",
     "check_unit",
@@ -139,3 +141,11 @@ def check_index(index: Tensor, name: str, letters: str, below: int) -> Tensor:
     if index.numel() and not 0 <= int(index.min()) <= int(index.max()) < below:
         raise ValueError(f"{name}: expected 0 to {below - 1}, got {int(index.min())} to {int(index.max())}")
     return index
+
+
+def check_noise(noise: float) -> float:
+    """The standard deviation of the inputs' noise in radiance; ``noise`` is in grey levels of 255, else a
+    ``ValueError``."""
+    if not (isinstance(noise, int | float) and math.isfinite(noise) and noise >= 0):
+        raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise!r}; 1 suits 8-bit images")
+    return float(noise) / 255

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["kernel_weights", "neighbour_widths"]
+__all__ = ["error_correlation", "kernel_weights", "neighbour_widths"]
 
 
 def kernel_weights(squared_distance: Tensor, width: Tensor | float) -> Tensor:
@@ -43,3 +43,11 @@ def neighbour_widths(distance: Tensor, neighbours: int) -> Tensor:
         return torch.ones(1, dtype=distance.dtype, device=distance.device)
     width = distance.kthvalue(min(neighbours, count - 1) + 1, dim=-1).values
     return width.clamp_min(torch.finfo(distance.dtype).eps)
+
+
+def error_correlation(points: Tensor, reach: float, own: float) -> Tensor:
+    """Correlation ``exp(-d^2 / 2 reach^2)`` of errors made at ``points (..., K, 3)``, of which ``own`` is each one's,
+    ``(..., K, K)`` float64."""
+    squared = torch.cdist(points.double(), points.double()).square()
+    eye = torch.eye(points.shape[-2], dtype=torch.float64, device=points.device)
+    return torch.exp(-0.5 * squared / reach**2) * (1 - own) + own * eye

@@ -154,7 +154,9 @@ class FaceModel:
         """What renders the person of ``images (K, h, w)``, with errors of ``noise (K, h, w)``, and its variance, under
         any light; ``unsure (K,)``, which lights are estimates."""
         if method == "mle":
-            fixed = MaximumLikelihood(self.relighter.statistics, images, lights, noise.flatten(1), mask)
+            fixed = MaximumLikelihood(
+                self.relighter.statistics, images, lights, noise.flatten(1), mask, self.relighter.noise / 255
+            )
             return (lambda target: fixed.relight(target).mean[None]), (
                 lambda target: fixed.relight(target).variance[None]
             )

@@ -15,6 +15,7 @@ __all__ = ["locked"]
 PATIENCE = 3600.0
 """Seconds to wait for another process: more than the finest statistics take."""
 PAUSE = 0.2
+LOCKED_AT = 1 << 20  # where Windows locks a byte: beyond the holder's number, which others read
 
 
 @contextmanager
@@ -65,6 +66,7 @@ def _taken(file: IO[str]) -> bool:
         if sys.platform == "win32":
             import msvcrt
 
+            file.seek(LOCKED_AT)
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         else:
             import fcntl

@@ -24,8 +24,9 @@ from facerelight.config import TrainConfig, cache_folder
 from facerelight.geometry.lights import light_from_angles
 from facerelight.model.file import replacing
 from facerelight.numerics import gaussian
+from facerelight.numerics.checks import check_noise
 from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
-from facerelight.viewpoint.views import ViewFields, ViewSource, noise_in_radiance
+from facerelight.viewpoint.views import ViewFields, ViewSource
 from facerelight.viewpoint.whole_face import Seen, face_of_views
 
 __all__ = ["BootstrapViews", "View", "ViewRelighter", "ViewRelit"]
@@ -133,7 +134,7 @@ class ViewRelighter:
     def __init__(self, source: ViewSource, rank: int = 40, temper: float = 100.0, noise: float = 1.0) -> None:
         if rank < 0 or temper < 1:
             raise ValueError(f"views: expected rank >= 0 and temper >= 1, got {rank} and {temper}")
-        self.source, self.rank, self.temper, self.noise = source, rank, temper, noise_in_radiance(noise)
+        self.source, self.rank, self.temper, self.noise = source, rank, temper, check_noise(noise)
 
     def __call__(
         self,
@@ -186,10 +187,9 @@ class ViewRelighter:
         """For one reading of the inputs ``(B, K, P)``: output mean and variance ``(B, P)``, code ``(B, k)``, tempered
         log evidence ``(B,)``; (5.6) with the whole face."""
         known = self.source.fields([target, *views])
-        gains = known.gains(images)
+        gains = known.gains(images, self.noise)
         face = face_of_views(known, self.rank)
         average, outputs, own = face.mean[0], face.loadings[:, 0], face.covariance[:, 0, 0]  # (P,), (P, k), (P,)
-        prior = own + outputs.square().sum(1) + float(known.gain_spread) ** 2 * average.square() + self.noise**2
         results = []
         for index, person in enumerate(images):
             gain, unsure = (part[min(index, len(part) - 1)] for part in gains)
@@ -199,7 +199,7 @@ class ViewRelighter:
             mean, black = (average[:, None] + left @ seen.code + (cross * seen.white).sum(1)).T
             variance = gaussian.positive_variance(own - cross.square().sum((1, 2)), own)
             variance = variance + (left @ seen.spread).square().sum(-1) + unsure.square() * black.square()
-            variance = torch.minimum(gain.square() * variance + self.noise**2, prior)
-            results.append((gain * mean, variance, seen.code[:, 0], seen.evidence))
+            variance = gain.square() * variance + self.noise**2
+            results.append(((gain * mean).clamp_min(0), variance, seen.code[:, 0], seen.evidence))
         mean, variance, code, evidence = (torch.stack(part) for part in zip(*results, strict=True))
         return mean, variance, code, evidence

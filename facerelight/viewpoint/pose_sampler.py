@@ -10,10 +10,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.checks import check_radiance
+from facerelight.numerics.checks import check_noise, check_radiance
 from facerelight.numerics.sampling import quasi_normal
 from facerelight.viewpoint.pose import View
-from facerelight.viewpoint.views import ViewSource, noise_in_radiance
+from facerelight.viewpoint.views import ViewSource
 from facerelight.viewpoint.whole_face import Seen, face_of_views
 
 __all__ = ["PoseBelief", "PoseSampler", "views_about"]
@@ -36,9 +36,9 @@ def views_about(
     """
     if min(spread) < 0 or count < 1:
         raise ValueError(f"views: expected spreads of 0 or more degrees and 1 view or more, got {spread}, {count}")
-    turned = quasi_normal(count, 2, generator, independent) * torch.tensor(spread)  # (count, 2)
-    at = (torch.tensor([view.azimuth, view.elevation]) + turned).clamp(-90, 90)
-    at = torch.where(turned != 0, (at / STEP).round() * STEP, at)
+    turned = quasi_normal(count, 2, generator, independent).double() * torch.tensor(spread).double()  # (count, 2)
+    about = torch.tensor([view.azimuth, view.elevation], dtype=torch.float64)
+    at = torch.where(turned != 0, (((about + turned).clamp(-90, 90)) / STEP).round() * STEP, about)
     return [View(azimuth, elevation, view.light, view.expression) for azimuth, elevation in at.tolist()]
 
 
@@ -84,7 +84,7 @@ class PoseSampler:
         if not len(candidates):
             raise ValueError("candidates: expected one view or more, got none; try views_about")
         self.source, self.candidates = source, list(candidates)
-        self.rank, self.temper, self.noise = rank, temper, noise_in_radiance(noise)
+        self.rank, self.temper, self.noise = rank, temper, check_noise(noise)
 
     def locate(self, images: Tensor) -> PoseBelief:
         """The posterior over the candidates, image by image."""
@@ -95,7 +95,7 @@ class PoseSampler:
             if view not in evidence:
                 known = self.source.fields([view])
                 face = face_of_views(known, self.rank)
-                gains = (known.gains(image[None, None]).value[0] for image in flat)
+                gains = (known.gains(image[None, None], self.noise).value[0] for image in flat)
                 evidence[view] = [
                     Seen.of(face, image[None], gain, self.noise, self.temper).evidence
                     for image, gain in zip(flat, gains, strict=True)

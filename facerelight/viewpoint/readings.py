@@ -75,7 +75,7 @@ def read_views(
         )
     flat = images.flatten(2)
     if all(is_known(view) for view in views):
-        return [[Block(flat, _combined(views))]]
+        return [[_lit(flat, list(views))]]
     if sampler is None:
         raise ValueError("views: expected all of them, or a sampler to draw the unknown ones from; got neither")
     if not isinstance(draws, int) or draws < 1:
@@ -105,7 +105,7 @@ def _candidates(view: Any) -> list[Any]:
 
 
 def _lit(images: Tensor, views: list[Any]) -> Block:
-    """One person's ``images (1, K, P)`` without those that were drawn without any light."""
+    """``images (B, K, P)`` without those that were taken or drawn without any light."""
     kept = [k for k, view in enumerate(views) if not (isinstance(view, Tensor) and not view.any())]
     return Block(images[:, kept], _combined([views[k] for k in kept]))
 

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.checks import check_finite, check_index, check_shape
+from facerelight.numerics.checks import check_finite, check_index, check_noise, check_shape
 from facerelight.numerics.gaussian import condition_gaussian, positive_variance
 from facerelight.numerics.shrinkage import KINDS, Shrinkage, shrunk_covariance
 from facerelight.viewpoint.readings import Block, MixtureMethod, ViewSampler, choose_image, read_views
-from facerelight.viewpoint.views import ViewSource, noise_in_radiance
+from facerelight.viewpoint.views import ViewSource
 
 __all__ = [
     "GroupRelighter",
@@ -141,7 +141,7 @@ class GroupRelighter:
         if shrinkage not in KINDS:
             raise ValueError(f"shrinkage: expected one of {', '.join(KINDS)}, got {shrinkage!r}")
         self.source, self.regions, self.shrinkage = source, regions, shrinkage
-        self.noise = noise_in_radiance(noise)
+        self.noise = check_noise(noise)
 
     def __call__(
         self,
@@ -181,12 +181,12 @@ class GroupRelighter:
         """(5.6) for known views: mean and variance of ``images (B, K, P)`` under ``target``, ``(B, P)``, and
         ``log_det (G,)``; what is linear in the inputs is that of their gains taken off."""
         known = self.source.fields([target, *views])
-        gain, unsure = known.gains(images)  # (B,), or (1,) where all are alike
+        gain, unsure = known.gains(images, self.noise)  # (B,), or (1,) where all are alike
         average = known.mean[0].double()
         seen = images / gain.to(images)[:, None, None] - known.mean[1:]  # (B, K, P)
         residual = torch.stack((seen, (-known.mean[1:]).expand_as(seen))).double()  # and of black inputs, (2, B, K, P)
         mean = average.expand(2, len(images), -1).clone()
-        variance, prior = mean.new_zeros(len(gain), len(average)), torch.zeros_like(average)
+        variance = mean.new_zeros(len(gain), len(average))
         step = max(1, GROUPS_AT_ONCE // len(images))  # each person has a factor
         log_det = []
         for region in self.regions:
@@ -199,15 +199,13 @@ class GroupRelighter:
                 y = residual[..., inputs].transpose(2, 3).flatten(3)  # (2, B, T, K r_in), view by view
                 given = condition_gaussian(own.new_zeros(r), y.new_zeros(y.shape[3]), own, cross, noisy, y)
                 mean[..., outputs] += given.mean
-                prior[outputs] = own.diagonal(dim1=1, dim2=2)
                 left = given.covariance.diagonal(dim1=2, dim2=3)  # (B, T, r_out)
-                variance[:, outputs] = positive_variance(left, prior[outputs])
+                variance[:, outputs] = positive_variance(left, own.diagonal(dim1=1, dim2=2))
                 log_det.append(torch.linalg.eigvalsh(given.covariance).clamp_min(1e-12).log().sum(-1).mean(0))
         image, black = mean
         gain, unsure = gain[:, None], unsure[:, None]
         variance = gain.square() * (variance + unsure.square() * black.square()) + self.noise**2
-        prior = prior + float(known.gain_spread) ** 2 * average.square() + self.noise**2
-        return gain * image, torch.minimum(variance, prior), torch.cat(log_det)
+        return (gain * image).clamp_min(0), variance, torch.cat(log_det)
 
     def _covariance(self, fields: Tensor, local: Tensor, outputs: Tensor, inputs: Tensor) -> Tensor:
         """Joint covariances (5.6) of the outputs and of all inputs, ``(T, D, D)`` with ``D = r_out + K r_in``."""

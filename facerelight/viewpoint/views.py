@@ -8,7 +8,6 @@ people's fields.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -16,11 +15,11 @@ import torch
 from torch import Tensor
 
 from facerelight.geometry.lights import unit_lights
-from facerelight.model.brightness import Gain, read_gain
+from facerelight.model.brightness import Gain, read_gain, reading_errors, reading_weight
 from facerelight.model.statistics import FaceStatistics
 from facerelight.model.subjects import fill_missing, fill_operators, gather_grams, measure_brightness, total_gram
 
-__all__ = ["LightViews", "ViewFields", "ViewSource", "noise_in_radiance"]
+__all__ = ["LightViews", "ViewFields", "ViewSource"]
 
 
 class ViewFields(NamedTuple):
@@ -29,22 +28,23 @@ class ViewFields(NamedTuple):
     ``mean (V, P)``; ``fields (M, V, N, P)``, each person's difference from it as the sum of M independent parts (n and
     v); ``local (V, V, P)``, covariance that views share at one pixel over and above the fields' own.
     ``Cov = sum_m fields_m^T fields_m / (N - 1) + [same pixel] local``. ``gain_spread ()``: of the logarithm of people's
-    brightness (0: it is in the fields); ``gain_noise (V,)``: of reading it off one image.
+    brightness (0: it is in the fields); ``gain_errors (V, V)``: covariance of the errors of reading it off one image.
     """
 
     mean: Tensor
     fields: Tensor
     local: Tensor
     gain_spread: Tensor = torch.tensor(0.0)
-    gain_noise: Tensor = torch.ones(1)
+    gain_errors: Tensor = torch.ones(1, 1)
 
-    def gains(self, images: Tensor) -> Gain:
-        """The gain of each person whose ``images (B, K, P)`` are under the last K views; ``value`` and ``spread`` are
-        ``(B,)``, or ``(1,)`` where everybody has the same."""
+    def gains(self, images: Tensor, noise: float) -> Gain:
+        """The gain of each person whose ``images (B, K, P)``, as noisy as ``noise`` says, are under the last K views;
+        ``value`` and ``spread`` are ``(B,)``, or ``(1,)`` where everybody has the same."""
         first, spread = len(self.mean) - images.shape[1], float(self.gain_spread)
-        noise = self.gain_noise.expand(len(self.mean))[first:]
+        expected, errors = self.mean[first:], self.gain_errors.expand(len(self.mean), len(self.mean))[first:, first:]
+        weight = reading_weight(expected, torch.full_like(expected[:, :1], noise))
         people = images if spread else images[:1]
-        read = [read_gain(person, self.mean[first:], spread, noise) for person in people]
+        read = [read_gain(person, expected, spread, errors, weight, noise) for person in people]
         return Gain(*(torch.stack(parts) for parts in zip(*read, strict=True)))
 
 
@@ -58,14 +58,6 @@ class ViewSource(Protocol):
 
 
 ROUNDING = 1e-6  # of a unit vector's length
-
-
-def noise_in_radiance(noise: float) -> float:
-    """The standard deviation of the inputs' noise in radiance; ``noise`` is in grey levels of 255, else a
-    ``ValueError``."""
-    if not (math.isfinite(noise) and noise >= 0):
-        raise ValueError(f"noise: expected grey levels of 255, 0 or more, got {noise}; 1 suits 8-bit images")
-    return float(noise) / 255
 
 
 class LightViews:
@@ -128,5 +120,6 @@ class LightViews:
         local = torch.einsum("aj,bj,jp,ap,bp->abp", weights, weights, unique, std, std)
         local = local + self.statistics.nugget(lights, lights)[..., None] * narrow[:, None] * narrow[None]
         mean = lights @ self.statistics.n_mean.flatten(1) + weights @ self.statistics.v_mean.flatten(1)
-        gain = self.statistics.gain_spread, weights @ self.statistics.gain_noise
-        return ViewFields(mean, torch.stack((of_n, of_v)), local, *gain)
+        noise = weights @ self.statistics.gain_noise  # (V,)
+        errors = reading_errors(noise, lights, mean, torch.ones_like(mean))
+        return ViewFields(mean, torch.stack((of_n, of_v)), local, self.statistics.gain_spread, errors)

@@ -70,7 +70,7 @@ def test_the_variance_counts_gain_and_noise(
     assert (seen.variance >= 0.999 / 255**2).all()
     assert (seen.mean - image[:, 0]).square().mean().sqrt() < 1 / 255
     known = views.fields([lights[9], lights[0]])
-    gain = known.gains(image.flatten(2))
+    gain = known.gains(image.flatten(2), 1 / 255)
     with_gain = relighter(views, model)(image, lights[:1], lights[9]).variance
     views.statistics.gain_spread *= 1e-3  # hardly a gain, and so read with hardly a doubt
     try:
