@@ -16,6 +16,7 @@ from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.person import PersonPosterior
 from facerelight.inference.posterior import Lights, Posterior, Relit, check_targets
+from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
@@ -202,6 +203,10 @@ class StatisticalRelighter(nn.Module):
         if what not in self._kept or self._kept[what][0] != state:
             self._kept[what] = (state, make())
         return self._kept[what][1]
+
+    def soft_estimator(self) -> SoftLightEstimator:
+        """Amounts of many lights under these statistics."""
+        return self._made_once("amounts", lambda: SoftLightEstimator(self.statistics).to(self.statistics.n_mean))
 
     def _own_estimator(self) -> LikelihoodIlluminationEstimator:
         """The likelihood of the statistics."""

@@ -22,7 +22,7 @@ from facerelight.numerics.checks import check_radiance
 from facerelight.numerics.luminance import BLACK
 from facerelight.numerics.sampling import quasi_normal
 
-__all__ = ["SoftLightEstimator"]
+__all__ = ["AmountsBelief", "SoftLightEstimator"]
 
 SPREAD, REACH, ROUGH = 2.0, 0.5, 0.05
 """Prior of the logarithms of amounts: standard deviation, distance over which they go together on the unit sphere, and
@@ -79,13 +79,15 @@ class SoftLightEstimator(LightEstimator):
         weight = torch.ones_like(images) if mask is None else mask[:, None].expand_as(images)
         lit = flat.flatten(1).abs().amax(1) > BLACK  # (B K,)
         seen = self.model.look(flat, weight.flatten(0, 1))
+        level = self.model.level(seen)  # (B K,): in the dark, amounts are told as well as in the light
+        seen = seen._replace(seen=seen.seen / level[:, None])
         parts = [self._most_probable(part) for part in seen.split(IMAGES_AT_ONCE)]
         size = len(self.model.directions)
         if not parts:
             amounts, factor = self.prior.new_zeros(0, size), self.prior.new_zeros(0, size, size)
         else:
             amounts, factor = (torch.cat(each) for each in zip(*parts, strict=True))
-        amounts = torch.where(lit[:, None], amounts, 0.0).unflatten(0, (count, inputs)).to(self.prior)
+        amounts = torch.where(lit[:, None], amounts * level[:, None], 0.0).unflatten(0, (count, inputs)).to(self.prior)
         return AmountsBelief(LightSum(self.model.directions, amounts), factor.unflatten(0, (count, inputs)))
 
     def sample_sums(

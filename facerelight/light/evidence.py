@@ -112,6 +112,11 @@ class MixtureModel(LearnedModule):
         seen, weight = (part.flatten(1)[:, self.places].double() for part in (images.detach(), mask))
         return ImageEvidence(seen.to(self.directions.device), weight.to(self.directions.device))
 
+    def level(self, image: ImageEvidence) -> Tensor:
+        """How bright the photographs are beside the average face under the mean of all lights, ``(B,)``."""
+        average = (image.weight * self.mean.double().clamp_min(0).mean(0)).sum(1)
+        return ((image.weight * image.seen).sum(1) / average.clamp_min(1e-12)).clamp_min(1e-6)
+
     def start(self, image: ImageEvidence) -> Tensor:
         """Amounts ``(B, n)`` by non-negative least squares on the average face (Lee and Seung 2000)."""
         mean = self.mean.double().clamp_min(0)
