@@ -165,10 +165,13 @@ class Classifier(LearnedModule):
 
 
 def _settings(module: nn.Module) -> tuple[tuple[str, object], ...]:
-    """What a module was made with: plain values as they are, other objects by their identity."""
+    """What a module was made with: values that can be compared as they are, other objects by their identity."""
     shown = {name: value for name, value in vars(module).items() if not name.startswith("_") and name != "training"}
-    plain = (bool, int, float, str, tuple, type(None))
-    return tuple((name, value if isinstance(value, plain) else id(value)) for name, value in sorted(shown.items()))
+    return tuple((name, value if _is_value(value) else id(value)) for name, value in sorted(shown.items()))
+
+
+def _is_value(thing: object) -> bool:
+    return isinstance(thing, Hashable) and type(thing).__eq__ is not object.__eq__
 
 
 def moved(images: Tensor, down: int, right: int) -> Tensor:

@@ -34,8 +34,11 @@ class Embedding(Protocol):
     ``crop``: how faces are aligned.
     """
 
-    name: str
-    crop: CropPoints
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def crop(self) -> CropPoints: ...
 
     def __call__(self, crops: np.ndarray) -> Tensor:
         """``(M, side, side, 3)`` uint8 sRGB to ``(M, D)`` float32 of unit length."""

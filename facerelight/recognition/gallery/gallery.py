@@ -66,6 +66,11 @@ class Gallery:
         """How many photographs there are of each person, sorted by name."""
         return dict(sorted(Counter(self._owners).items()))
 
+    @property
+    def templates(self) -> Template:
+        """What is kept of the faces enrolled."""
+        return self._templates
+
     def add(self, name: str, photo: np.ndarray, face: Face) -> None:
         """Enroll a person's face, or one more photograph of them.
 

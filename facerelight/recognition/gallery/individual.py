@@ -27,7 +27,7 @@ from facerelight.recognition.gallery.recognizer import Index, Levels, Template
 from facerelight.recognition.photometric import WeberFaces
 from facerelight.recognition.subspaces import principal_subspace
 
-__all__ = ["IndividualRecognizer"]
+__all__ = ["IndividualRecognizer", "NearestPhotoRecognizer"]
 
 VERSION = 4
 PROBE = CropFrame(240, 210, 0.125)  # a pixel of the canonical crop each, with room to move
@@ -72,20 +72,37 @@ class IndividualRecognizer:
     def enroll(self, photo: np.ndarray, face: Face) -> Template:
         """``mean (1, B, D)`` and ``basis (1, B, D, k)`` of B modules; ``probe``, see :meth:`describe`."""
         probe = self.describe(photo, face)
-        fine = _placed(probe, 0.0, 1.0)
-        lights, _ = exemplar_lights()
-        relit = PhotoRelighter(photo, None, self.relighter, face=face).crops(lights).clamp_min(0)
-        up = fit_similarity(crop_frame(self.relighter).landmarks, FINE.landmarks)
-        relit = warp_to_crop(relit[None], up[None], FINE)[0]
-        exemplars = torch.cat((keep_detail(relit, fine, 1.0), fine[None]))
-        spaces = [principal_subspace(rows, DIMENSION) for rows in _modules(self._features(exemplars))]
+        rows = _modules(self._features(self._exemplars(photo, face, _placed(probe, 0.0, 1.0))))
+        spaces = [principal_subspace(own, DIMENSION) for own in rows]
         bases = [nn.functional.pad(space.basis, (0, DIMENSION - space.basis.shape[1])) for space in spaces]
         mean = torch.stack([space.mean for space in spaces])
         return {"probe": probe[None], "mean": mean[None], "basis": torch.stack(bases)[None]}
 
+    def _exemplars(self, photo: np.ndarray, face: Face, fine: Tensor) -> Tensor:
+        """The face under many lights, ``(Q, 128, 112)``, the last as photographed, ``fine (128, 112)``."""
+        lights, _ = exemplar_lights()
+        relit = PhotoRelighter(photo, None, self.relighter, face=face).crops(lights).clamp_min(0)
+        up = fit_similarity(crop_frame(self.relighter).landmarks, FINE.landmarks)
+        relit = warp_to_crop(relit[None], up[None], FINE)[0]
+        return torch.cat((keep_detail(relit, fine, 1.0), fine[None]))
+
     def index(self, templates: Template) -> Index:
         """All are compared."""
         return _AllSubspaces(templates, self._features)
+
+
+class NearestPhotoRecognizer(IndividualRecognizer):
+    """The same features and search, and nothing relit: each person is the one photograph. What relighting is worth is
+    measured against it."""
+
+    name = "nearest_photo"
+
+    def key(self) -> dict[str, object]:
+        """See :class:`facerelight.recognition.gallery.recognizer.Recognizer`."""
+        return super().key() | {"model": "nearest_photo"}
+
+    def _exemplars(self, photo: np.ndarray, face: Face, fine: Tensor) -> Tensor:
+        return fine[None]
 
 
 class _AllSubspaces:
