@@ -7,9 +7,9 @@ Extended Yale B as a person would photograph it: sRGB, in a larger picture. Ever
 lights; probes are six other lights, up to 70 degrees to the side. Of a folder NAME/*.jpg the first photo is enrolled.
 
 All figures but seconds are percent. rank1: all enrolled, a probe without a face counts as wrong. Open set: every other
-person is enrolled and the rest are strangers, and the other way round, averaged: eer, the equal error; far1, named rightly where
-1 % of strangers are let in; let_in and named, at the threshold that `--far 0.01` calibrates on the enrolled alone.
-seconds: finding the face, describing it and comparing it with everybody.
+person is enrolled and the rest are strangers, then the other way round, averaged: eer, the equal error; far1, named
+rightly where 1 % of strangers are let in; let_in and named, at the threshold that `--far 0.01` calibrates on the
+enrolled alone. seconds: finding the face, describing it and comparing it with everybody.
 """
 
 import time
