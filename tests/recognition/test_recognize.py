@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,17 +22,17 @@ def astronaut() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def folder(astronaut: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``people``: a woman, and her mirror image as somebody else, beside photos that cannot be used; ``group.png``,
+    """``people``: a woman, and her narrowed mirror image as somebody else, beside photos that cannot be used; ``group.png``,
     both of them; ``probes``: a darker copy, and no face."""
     place = tmp_path_factory.mktemp("recognize")
-    mirrored = np.ascontiguousarray(astronaut[:, ::-1])
+    narrow = cv2.resize(astronaut[:, ::-1], (368, 512), interpolation=cv2.INTER_AREA)
     (place / "people" / "eileen").mkdir(parents=True)
     (place / "probes").mkdir()
     Image.fromarray(astronaut).save(place / "people" / "eileen" / "1.png")
     Image.fromarray(np.full((90, 90, 3), 120, np.uint8)).save(place / "people" / "eileen" / "wall.png")
     (place / "people" / "broken.jpg").write_bytes(b"no photo")
-    Image.fromarray(mirrored).save(place / "people" / "mirror.png")
-    Image.fromarray(np.hstack((mirrored[:300], astronaut[:300]))).save(place / "group.png")
+    Image.fromarray(narrow).save(place / "people" / "narrow.png")
+    Image.fromarray(np.hstack((narrow[:300], astronaut[:300]))).save(place / "group.png")
     Image.fromarray((astronaut * 0.7).astype(np.uint8)).save(place / "probes" / "darker.png")
     Image.fromarray(np.full((90, 90, 3), 120, np.uint8)).save(place / "probes" / "wall.png")
     return place
@@ -52,7 +53,7 @@ def test_enroll_list_identify_remove(classifier: str, folder: Path, tmp_path: Pa
     asked = [*command, "--photos", str(folder / "probes"), "--json", "--csv", str(table), "--far", "0.2", "--top", "2"]
     assert main(asked) == 1  # the wall
     told = json.loads(capsys.readouterr().out)
-    assert told["enrolled"] == {"eileen": 1, "mirror": 1}
+    assert told["enrolled"] == {"eileen": 1, "narrow": 1}
     assert list(told["skipped"]) == [str(folder / "probes" / "wall.png")]
     answer = told["answers"][str(folder / "probes" / "darker.png")][0]
     assert answer["matches"][0]["name"] == "eileen"
@@ -61,7 +62,7 @@ def test_enroll_list_identify_remove(classifier: str, folder: Path, tmp_path: Pa
     assert [row["person"] for row in rows] == [match["name"] for match in answer["matches"]]
     assert [row["rank"] for row in rows] == ["1", "2"]
     assert main([*command, "--remove", "eileen", "--list"]) == 0
-    assert capsys.readouterr().out == "mirror: 1 photo\n"
+    assert capsys.readouterr().out == "narrow: 1 photo\n"
     assert main([*command, "--remove", "eileen"]) == 2
     assert "expected one of the 1 people enrolled" in capsys.readouterr().err
 
