@@ -22,7 +22,7 @@ from facerelight.recognition.sface import SFACE_CROP
 
 DIMENSION = 128
 POINTS = np.array(SFACE_CROP.points)
-FACE = Face(np.vstack((POINTS[:2], POINTS[3:].mean(0))), None, (0.0, 0.0, 112.0, 112.0), 1.0, None, True, 1.0)
+FACE = Face(np.vstack((POINTS[:2], POINTS[3:].mean(0))), None, (0.0, 0.0, 224.0, 224.0), 1.0, None, True, 1.0)
 
 
 class Prepared:
@@ -55,7 +55,7 @@ def measure(people: int, probes: int, similarity: float) -> dict[str, object]:
     again = photographs(centres[:: max(1, people // probes)][:probes], similarity, generator)
     strangers = torch.nn.functional.normalize(torch.randn(probes, DIMENSION, generator=generator), dim=1)
     del centres
-    photo = np.zeros((112, 112, 3), np.uint8)
+    photo = np.zeros((224, 224, 3), np.uint8)
 
     def named(vector: torch.Tensor) -> tuple[str, bool]:
         embedding.vector = vector

@@ -22,8 +22,8 @@ def astronaut() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def folder(astronaut: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``people``: a woman, and her narrowed mirror image as somebody else, beside photos that cannot be used; ``group.png``,
-    both of them; ``probes``: a darker copy, and no face."""
+    """``people``: a woman, and her narrowed mirror image as somebody else, beside photos that cannot be used;
+    ``group.png``, both of them; ``probes``: a darker copy, and no face."""
     place = tmp_path_factory.mktemp("recognize")
     narrow = cv2.resize(astronaut[:, ::-1], (368, 512), interpolation=cv2.INTER_AREA)
     (place / "people" / "eileen").mkdir(parents=True)
