@@ -61,6 +61,9 @@ def test_enroll_list_identify_remove(classifier: str, folder: Path, tmp_path: Pa
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["person"] for row in rows] == [match["name"] for match in answer["matches"]]
     assert [row["rank"] for row in rows] == ["1", "2"]
+    assert main([*command, "--photos", str(folder / "people" / "broken.jpg"), str(tmp_path / "none.png")]) == 2
+    assert main([*command, "--photos", str(folder / "people" / "broken.jpg"), str(folder / "group.png")]) == 1
+    capsys.readouterr()
     assert main([*command, "--remove", "eileen", "--list"]) == 0
     assert capsys.readouterr().out == "narrow: 1 photo\n"
     assert main([*command, "--remove", "eileen"]) == 2

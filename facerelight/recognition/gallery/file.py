@@ -36,7 +36,10 @@ def load_templates(path: Path) -> tuple[dict[str, Any], Template]:
     """
     try:
         with safe_open(path, "pt") as file:
-            header = json.loads((file.metadata() or {})["gallery"])
+            told = (file.metadata() or {}).get("gallery")
+            if told is None:
+                raise ValueError("a file without a gallery's header, as those of earlier versions were")
+            header = json.loads(told)
             templates = {part: file.get_tensor(part) for part in file.keys()}  # noqa: SIM118 - no mapping
         if header["format"] != FORMAT or header["version"] != VERSION:
             raise ValueError(f"expected version {VERSION}, got {header.get('version')}")

@@ -29,6 +29,7 @@ class Answers:
         self.unknown, self._say = unknown, say
         self.found: dict[str, list[Identification]] = {}
         self.skipped: dict[str, str] = {}
+        self._opened_photos = self._unreadable = 0
 
     def enroll(self, gallery: Gallery, name: str, photo: Path) -> None:
         """Enroll the largest face of a photo as ``name``."""
@@ -68,8 +69,11 @@ class Answers:
 
     def _opened(self, photo: Path) -> Any:
         try:
-            return open_faces(photo)
+            opened = open_faces(photo)
+            self._opened_photos += 1
+            return opened
         except (ValueError, LandmarksNotFoundError) as error:
+            self._unreadable += isinstance(error, ValueError)
             self._skip(photo, str(error).removeprefix(f"{photo}: "))
             return None
 
@@ -79,8 +83,10 @@ class Answers:
 
     @property
     def exit_code(self) -> int:
-        """0; 1 where photos were skipped, or faces were identified and all are strangers; 2 where every photo that was
-        to be identified is none."""
+        """0; 1 where photos were skipped, or faces were identified and all are strangers; 2 where no photo at all could
+        be read."""
+        if self._unreadable and self._opened_photos == 0 and len(self.skipped) == self._unreadable:
+            return 2
         names = [found.name for faces in self.found.values() for found in faces]
         return 1 if self.skipped or (names and not any(names)) else 0
 
