@@ -51,9 +51,9 @@ def nearly_black(radiance: torch.Tensor, generator: torch.Generator) -> np.ndarr
 
 
 def small(radiance: torch.Tensor, generator: torch.Generator) -> np.ndarray:
-    """19 pixels between the eyes."""
+    """32 pixels between the eyes."""
     photo = yale_photo(radiance)
-    size = round(photo.shape[1] / 5), round(photo.shape[0] / 5)
+    size = round(photo.shape[1] / 3), round(photo.shape[0] / 3)
     return cv2.resize(photo, size, interpolation=cv2.INTER_AREA)
 
 
@@ -72,7 +72,7 @@ KINDS = {
     "hard light from below": Kind(FRONT, ((-20, -40), (50, -40), (0, -35))),
     "four stops under, with noise": Kind(FRONT, MILD, under_exposed),
     "six stops under": Kind(FRONT, MILD, nearly_black),
-    "19 pixels between the eyes, from the side": Kind(FRONT, ((70, 0), (-70, 0), (60, 20)), small),
+    "32 pixels between the eyes, from the side": Kind(FRONT, ((70, 0), (-70, 0), (60, 20)), small),
     "enrolled under the worst light": Kind(((-110, 15), (110, 15), (95, 0), (-95, 0), (-20, -40)), MILD),
 }
 
