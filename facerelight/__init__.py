@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from facerelight.photo import PhotoRelighter, relight
     from facerelight.recognition.class_conditional import GaussianClassifier
     from facerelight.recognition.classifier import Classifier, SumClassifier
-    from facerelight.recognition.gallery import Gallery
+    from facerelight.recognition.gallery.gallery import Gallery
     from facerelight.recognition.nearest import NearestNeighborClassifier
     from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
     from facerelight.viewpoint.pose import BootstrapViews, View, ViewRelighter
@@ -33,7 +33,7 @@ _HOMES = {
     "Classifier": "recognition.classifier",
     "FaceStatistics": "model.statistics",
     "FitOptions": "model.learning",
-    "Gallery": "recognition.gallery",
+    "Gallery": "recognition.gallery.gallery",
     "GaussianClassifier": "recognition.class_conditional",
     "GlobalPCAClassifier": "recognition.pca",
     "GroupRelighter": "viewpoint.regions",

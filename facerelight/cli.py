@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # help and errors of the command line need no torch
 
 __all__ = ["main", "read_config"]
 
-QUALITIES = ("draft", "standard", "reference")
 TRAINING_NEEDS = ("OpenGL", "jsonargparse", "pyrender", "tqdm", "trimesh", "yaml")
 VERBS = {
     "train": "render heads and learn statistics",
@@ -111,23 +110,6 @@ def _train_parser() -> jsonargparse.ArgumentParser:
     return parser
 
 
-def _recognize_parser() -> ArgumentParser:
-    parser = ArgumentParser(
-        prog="facerelight recognize",
-        description="Enroll people from photos, and identify others among them.",
-        allow_abbrev=False,
-    )
-    option = parser.add_argument
-    option("gallery", help="gallery file (.safetensors) to write or to read")
-    option("--enroll", metavar="FOLDER", help="NAME.jpg or NAME/*.jpg: make the gallery from it")
-    option("--photos", nargs="*", default=[], help="photos to identify")
-    option("--reject", type=float, help="largest error (1 - cosine) that is not a stranger")
-    option("--quality", default="standard", choices=QUALITIES, help="of the statistics (default: standard)")
-    option("--statistics", metavar="FOLDER", help="trained statistics (default: those of the quality)")
-    option("--json", action="store_true", help="print the answers as JSON")
-    return parser
-
-
 def _train(argv: list[str]) -> int:
     from facerelight.config import PACKAGED, default_statistics_folder, find_statistics
     from facerelight.train.run import train
@@ -179,32 +161,9 @@ def _relight(argv: list[str]) -> int:
 
 
 def _recognize(argv: list[str]) -> int:
-    arguments = _recognize_parser().parse_args(argv)
-    from facerelight.inference.relighter import StatisticalRelighter
-    from facerelight.photo.files.disk import find_people
-    from facerelight.recognition.gallery import Gallery
+    from facerelight.recognition.gallery.command import recognize_parser, run_recognize
 
-    if not arguments.enroll and not arguments.photos:
-        raise ValueError("recognize: expected --enroll FOLDER, --photos FILE ..., or both")
-    people = find_people(arguments.enroll) if arguments.enroll else {}
-    relighter = StatisticalRelighter.from_pretrained(_statistics_folder(arguments.statistics, arguments.quality))
-    if arguments.enroll:
-        gallery = Gallery(relighter)
-        for name, photos in people.items():
-            gallery.enroll(name, photos)
-        gallery.save(arguments.gallery)
-    else:
-        gallery = Gallery.load(arguments.gallery, relighter)
-    if arguments.reject is not None:
-        gallery.classifier.threshold_ = 1 - arguments.reject
-    answers = {photo: gallery.identify(photo) for photo in arguments.photos}
-    if arguments.json:
-        found = {photo: answer._asdict() for photo, answer in answers.items()}
-        print(json.dumps({"enrolled": gallery.classifier.classes_, "answers": found}))
-    else:
-        for photo, answer in answers.items():
-            print(f"{photo}: {answer.name or 'stranger'} (error {min(answer.errors.values()):.4f})")
-    return 1 if answers and all(answer.name is None for answer in answers.values()) else 0
+    return run_recognize(recognize_parser().parse_args(argv), _statistics_folder)
 
 
 def _statistics_folder(given: str | None, quality: str) -> Path:

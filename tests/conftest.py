@@ -3,11 +3,14 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from facerelight.geometry.lights import even_hemisphere
 from facerelight.model.statistics import FaceStatistics
+from facerelight.photo.faces.landmarks import Face
+from facerelight.recognition.embedding import CropPoints
 
 SIZE = (24, 21)
 
@@ -24,6 +27,23 @@ def shaded_people(count: int, lights: torch.Tensor, seed: int) -> torch.Tensor:
     normal = torch.nn.functional.normalize(normal, dim=1)
     albedo = 0.5 + 0.1 * torch.randn(count, 1, 1, generator=generator) + 0.3 * bumps
     return torch.einsum("ncyx,jc->njyx", normal, lights).clamp_min(0) * albedo[:, None] + 0.02
+
+
+class MeanColour:
+    """An embedding of three numbers: the mean colour of a crop of 8 pixels, at unit length."""
+
+    name = "mean-colour"
+    crop = CropPoints(8, ((2.0, 2.0), (5.0, 2.0), (3.5, 4.0), (2.5, 6.0), (4.5, 6.0)))
+
+    def __call__(self, crops: np.ndarray) -> torch.Tensor:
+        means = torch.from_numpy(crops.astype(np.float32)).mean((1, 2)) + 1e-3
+        return torch.nn.functional.normalize(means, dim=1)
+
+
+def marked_face(x: float = 40.0, y: float = 40.0, unit: float = 20.0) -> Face:
+    """A face by its landmarks alone: the eyes lie ``unit`` apart about (x, y), the mouth as far below."""
+    landmarks = np.array(((x - unit / 2, y), (x + unit / 2, y), (x, y + unit)))
+    return Face(landmarks, None, (x - unit, y - unit, x + unit, y + 1.5 * unit), 1.0, None, True, 1.0)
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from safetensors.torch import load_file, save_file
 from facerelight.cli import main
 from facerelight.model.statistics import FaceStatistics
 from facerelight.photo.files.disk import read_photo
-from facerelight.recognition.gallery import GALLERY_VERSION
+from facerelight.recognition.gallery.file import VERSION
 
 CONFIG = Path(__file__).parent.parent / "configs" / "tiny.yaml"
 MARKS = "20,24,44,24,32,44"
@@ -193,10 +193,9 @@ def test_at_least_200_bad_files_are_refused_in_one_line(
         (place / f"second{Path(name).suffix}").write_bytes(content[0])
         (place / "second.points.txt").write_text(content[1] or "")
         refused([*training, "--source", str(place)], f"{index} {name}")
-    for name, (tensors, notes) in bad_galleries().items():
+    for name, content in bad_galleries().items():
         path = tmp_path / f"{name}.safetensors"
-        path.write_bytes(tensors)
-        path.with_suffix(".json").write_text(notes)
+        path.write_bytes(content)
         refused(["recognize", str(path), "--photos", str(good), "--statistics", str(folder)], name)
     for value in (
         "",
@@ -237,39 +236,34 @@ def bad_meshes() -> dict[str, tuple[bytes, str | None]]:
     }
 
 
-def bad_galleries() -> dict[str, tuple[bytes, str]]:
+def bad_galleries() -> dict[str, bytes]:
     from safetensors.torch import save
 
-    notes = {
-        "format": "facerelight-gallery",
-        "version": GALLERY_VERSION,
-        "statistics": "0123456789abcdef",
-        "crop": [48, 42, 0.25],
-        "names": ["a"],
-        "photometric": "weber",
-        "dimension": 2,
-        "shift": 0,
-        "reject": None,
-    }
-    good = save({"means": torch.zeros(1, 2016), "bases": torch.zeros(1, 2016, 2), "dimensions": torch.tensor([2])})
-    text = json.dumps(notes)
-    means, bases, sizes = torch.zeros(1, 2016), torch.zeros(1, 2016, 2), torch.tensor([2])
+    notes = {"format": "facerelight-gallery", "version": VERSION, "recognizer": "individual_pca"}
+    notes |= {"key": {"model": "another", "crop": [48, 42, 0.25], "version": 4}, "owners": ["a"]}
+    means, bases, probe = torch.zeros(1, 2, 9), torch.zeros(1, 2, 9, 2), torch.zeros(1, 9, 8)
+    tensors = {"mean": means, "basis": bases, "probe": probe}
+
+    def file(told: object = notes, parts: dict[str, torch.Tensor] = tensors) -> bytes:
+        return save(parts, {"gallery": told if isinstance(told, str) else json.dumps(told)})
+
     return {
-        "gallery_empty": (b"", text),
-        "gallery_cut": (good[:100], text),
-        "gallery_pickle": (pickle.dumps([1]), text),
-        "gallery_no_names": (good, "{}"),
-        "gallery_not_json": (good, "{"),
-        "gallery_list": (good, "[]"),
-        "gallery_other_statistics": (good, text),
-        "gallery_no_statistics": (good, json.dumps({k: v for k, v in notes.items() if k != "statistics"})),
-        "gallery_future": (good, json.dumps({**notes, "version": 7})),
-        "gallery_more_names": (good, json.dumps({**notes, "names": ["a", "b"]})),
-        "gallery_odd_filter": (good, json.dumps({**notes, "photometric": "sepia"})),
-        "gallery_nan": (save({"means": means, "bases": bases * torch.nan, "dimensions": sizes}), text),
-        "gallery_nan_means": (save({"means": means * torch.nan, "bases": bases, "dimensions": sizes}), text),
-        "gallery_other_size": (save({"means": means[:, :9], "bases": bases[:, :9], "dimensions": sizes}), text),
-        "gallery_without_means": (save({"bases": bases, "dimensions": sizes}), text),
+        "gallery_empty": b"",
+        "gallery_cut": file()[:100],
+        "gallery_pickle": pickle.dumps([1]),
+        "gallery_bare": save(tensors),
+        "gallery_no_header": file({}),
+        "gallery_not_json": file("{"),
+        "gallery_list": file([]),
+        "gallery_other_statistics": file(),
+        "gallery_no_key": file({part: value for part, value in notes.items() if part != "key"}),
+        "gallery_future": file({**notes, "version": VERSION + 1}),
+        "gallery_more_owners": file({**notes, "owners": ["a", "b"]}),
+        "gallery_odd_owner": file({**notes, "owners": [1]}),
+        "gallery_odd_recognizer": file({**notes, "recognizer": "phrenology"}),
+        "gallery_nan": file(parts={**tensors, "basis": bases * torch.nan}),
+        "gallery_whole_numbers": file(parts={**tensors, "mean": means.long()}),
+        "gallery_without_probe": file(parts={"mean": means, "basis": bases}),
     }
 
 

@@ -5,11 +5,11 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
-from conftest import SIZE
+from conftest import SIZE, MeanColour, marked_face
 
-from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import angles_from_light, light_from_angles
 from facerelight.inference.detail import keep_detail
 from facerelight.inference.relighter import StatisticalRelighter
@@ -20,7 +20,8 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.checks import check_index, check_unit
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifier import Classifier, SumClassifier
-from facerelight.recognition.gallery import Gallery
+from facerelight.recognition.gallery.embeddings import EmbeddingRecognizer
+from facerelight.recognition.gallery.gallery import Gallery
 from facerelight.recognition.nearest import NearestNeighborClassifier
 from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.train.cross_validation import choose_face_options
@@ -322,14 +323,17 @@ def test_views_are_angles_and_weights() -> None:
         light_from_angles(torch.zeros(2), torch.zeros(3))
 
 
-def test_a_gallery_wants_names_and_photographs(world: World) -> None:
-    statistics = world.statistics
-    statistics.metadata = {}
-    relighter = StatisticalRelighter(statistics)
-    if not hasattr(CropFrame, "oval"):
-        pytest.skip("no outline")
-    gallery = Gallery(relighter)
-    refused(lambda: gallery.add("ann", []), "photos")
-    refused(lambda: gallery.add("", []), "name")
+def test_a_gallery_wants_names_and_photographs() -> None:
+    gallery = Gallery(EmbeddingRecognizer(MeanColour()))
+    photo, face = np.zeros((112, 112, 3), np.uint8), marked_face()
+    refused(lambda: gallery.enroll("ann", []), "photos")
+    refused(lambda: gallery.add("", photo, face), "name")
     with pytest.raises(ValueError, match="enroll"):
-        gallery.compare(None)  # type: ignore[arg-type]
+        gallery.compare(photo, face)
+    gallery.add("ann", photo + np.uint8(9), face)
+    refused(lambda: gallery.compare(photo, face, far=0.0), "far")
+    refused(lambda: gallery.compare(photo, face, top=0), "top")
+    refused(lambda: gallery.compare(photo[..., 0], face), "photo")
+    refused(lambda: gallery.remove("bob"), "name")
+    refused(lambda: gallery.add_templates(["bob"], {"probe": torch.ones(1, 7)}), "templates")
+    refused(lambda: gallery.add_templates(["bob"], {"probe": torch.ones(2, 3)}), "templates")

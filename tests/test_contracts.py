@@ -31,7 +31,7 @@ from facerelight.recognition.registry import (
     baseline_names,
     fit_classifier,
     is_pairwise,
-    photometric,
+    needs_exemplars,
     register,
     table_names,
 )
@@ -223,7 +223,9 @@ def test_every_registered_classifier(
 def test_a_classifier_registers_once(toy_classifier: str) -> None:
     assert toy_classifier in table_names()
     assert is_pairwise("toy+weber")
-    assert photometric("toy+weber") == "weber"
+    assert needs_exemplars("toy+weber")
+    assert not needs_exemplars("nearest_neighbor+weber")
+    assert needs_exemplars("nearest_neighbor+exemplars")
     with pytest.raises(ValueError, match="taken are"):
         register("toy")
     with pytest.raises(ValueError, match=r"expected one of .*toy"):

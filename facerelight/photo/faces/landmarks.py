@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.photo.faces.copies import brighten, shrink
+from facerelight.photo.faces.copies import brighten, even_out, shrink
 from facerelight.photo.faces.detector import Candidate, detect_faces, merge_candidates
 from facerelight.photo.faces.face_mesh import fit_face_mesh
 from facerelight.photo.faces.haar import haar_landmarks
@@ -175,10 +175,10 @@ def _search(photo: np.ndarray) -> list[Face]:
     candidates: list[Candidate] = []
     known: dict[int, _Fitted] = {}  # by the candidate's identity: nothing is fitted twice
 
-    def clear(*copies: tuple[int, float]) -> list[_Fitted]:
+    def clear(*copies: tuple[int, float], picture: np.ndarray = base) -> list[_Fitted]:
         nonlocal candidates, known
         for side, turn in copies:
-            found = detect_faces(base, side, turn, FAINT.score)
+            found = detect_faces(picture, side, turn, FAINT.score)
             candidates = candidates + [Candidate((one.points + 0.5) * factor - 0.5, one.score) for one in found]
         candidates = merge_candidates(candidates)
         known = {id(one): known.get(id(one)) or _fit(photo, one) for one in candidates}
@@ -189,6 +189,8 @@ def _search(photo: np.ndarray) -> list[Face]:
     if largest < SMALL:
         larger = max(base.shape[:2]) > 1.3 * FIRST_SIDE
         found = clear(*((side, 0.0) for side in MORE_SIDES if side < FIRST_SIDE or larger))
+    if not found:
+        found = clear((FIRST_SIDE, 0.0), picture=even_out(base))
     upright = {id(one) for one in candidates}
     if not found:
         clear(*((FIRST_SIDE, turn) for turn in TURNS))

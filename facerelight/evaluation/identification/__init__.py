@@ -1,0 +1,1 @@
+"""People named end to end, from photographs on disk."""

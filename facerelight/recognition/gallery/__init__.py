@@ -1,0 +1,2 @@
+"""People enrolled from photographs, and others' photographs identified among them: templates, search, calibration,
+command."""
