@@ -385,6 +385,8 @@ class StatisticalRelighter(nn.Module):
 
 def _known_sums(given: LightSum | LightMixture, people: int, inputs: int) -> LightSum:
     """Known source lights as amounts ``(people, M, inputs, n)``."""
+    if not isinstance(given, LightSum | LightMixture):
+        raise ValueError(f"source lights: expected a tensor, a LightSum or a LightMixture, got {given!r}")
     lights = LightSum.of(given) if isinstance(given, LightMixture) else given
     lights = check_light_sum(lights, "source lights")
     shape = tuple(lights.amounts.shape[:-1])
