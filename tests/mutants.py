@@ -44,9 +44,9 @@ MUTANTS = (
     ),
     Mutant(
         "variance that the basis loses",
-        "model/covariance.py",
-        "positive_root(near @ _some(face.v_power",
-        "0 * positive_root(near @ _some(face.v_power",
+        "model/light_terms.py",
+        "positive_root(near @ of_lights(face.v_power",
+        "0 * positive_root(near @ of_lights(face.v_power",
         VARIANCE,
     ),
     Mutant(

@@ -13,8 +13,9 @@ from facerelight.geometry.lights import even_hemisphere, light_from_angles, thes
 from facerelight.inference.posterior import Relit
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
-from facerelight.model.covariance import deviation_covariance, image_covariance, light_terms, prior_mean
+from facerelight.model.covariance import deviation_covariance, image_covariance, prior_mean
 from facerelight.model.learning import FitOptions
+from facerelight.model.light_terms import light_terms
 from facerelight.model.statistics import FaceLoadings, FaceStatistics
 from facerelight.model.subjects import face_operators
 from facerelight.numerics.gaussian import (

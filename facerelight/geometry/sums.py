@@ -15,7 +15,7 @@ from facerelight.geometry.lights import nearest_lights, unit_lights
 from facerelight.geometry.sources import LightMixture
 from facerelight.numerics.luminance import LUMINANCE
 
-__all__ = ["LightSum", "check_light_sum"]
+__all__ = ["LightSum", "check_light_sum", "edges", "is_behind"]
 
 MOST = 512  # directions; more are gathered on as many places, even over the sphere, which moves each by 4 degrees
 GATHERED_AT_ONCE = 2048
@@ -134,3 +134,26 @@ def even_sphere(count: int) -> Tensor:
     turn = index * torch.pi * (3 - 5**0.5)
     radius = torch.sqrt(1 - z**2)
     return torch.stack((radius * torch.cos(turn), radius * torch.sin(turn), z), -1).float()
+
+
+def is_behind(light: LightSum) -> bool:
+    """Whether any of a light's directions that give light is behind the face."""
+    return bool((light.amounts * light.directions[..., 2] < 0).any())
+
+
+def edges(light: LightSum) -> list[LightSum]:
+    """A ``light`` with amounts ``(1, n)``, what of it is behind the face brought to the image plane: to the nearest
+    side fully, to the others the more, the nearer it is to the axis, where all are alike."""
+    behind = light.directions[..., 2] < 0
+    away = torch.nn.functional.pad(light.directions[..., :2], (0, 1))
+    length = away.norm(dim=-1, keepdim=True)
+    away = torch.where(length < 1e-6, away.new_tensor((1.0, 0.0, 0.0)), away / length.clamp_min(1e-6))
+    side = torch.stack((-away[..., 1], away[..., 0], away[..., 2]), -1)
+    depth = light.directions[..., 2].neg().clamp_min(0).sqrt()
+    sides = ((away, torch.ones_like(depth)), (-away, depth), (side, depth), (-side, depth))
+    return [
+        LightSum(
+            torch.where(behind[..., None], edge, light.directions), torch.where(behind, share, 1.0) * light.amounts
+        )
+        for edge, share in sides
+    ]

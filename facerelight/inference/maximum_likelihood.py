@@ -8,18 +8,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from facerelight.geometry.lights import unit_lights
-from facerelight.geometry.sums import LightSum
-from facerelight.inference.person import edges, is_behind
+from facerelight.geometry.sums import LightSum, edges, is_behind
 from facerelight.inference.posterior import Relit
 from facerelight.model.brightness import read_gain, reading_errors, reading_weight
-from facerelight.model.covariance import (
-    LightTerms,
-    deviation_covariance,
-    gain_noise,
-    light_terms,
-    observed,
-    same_light,
-)
+from facerelight.model.covariance import deviation_covariance, observed, same_light
+from facerelight.model.light_terms import LightTerms, gain_noise, light_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 

@@ -13,28 +13,26 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from facerelight.geometry.lights import unit_lights
-from facerelight.geometry.sums import LightSum
+from facerelight.geometry.sums import LightSum, edges, is_behind
 from facerelight.model.brightness import Gain, read_gain, reading_errors, reading_weight
-from facerelight.model.covariance import (
+from facerelight.model.covariance import image_covariance, observed, same_light
+from facerelight.model.light_terms import (
     DirectionTerms,
     LightTerms,
     direction_terms,
     gain_noise,
-    image_covariance,
     left_alone,
     light_terms,
     loadings_at,
     narrow_terms,
-    observed,
     pull_of,
-    same_light,
     summed_terms,
 )
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.mixture import mixture_mode
 
-__all__ = ["Components", "PersonPosterior", "edges", "is_behind"]
+__all__ = ["Components", "PersonPosterior"]
 
 NEAR = 1e-3  # kernel values below this move a pixel by less than a tenth of a grey level
 PIXELS_AT_ONCE = 1024
@@ -354,26 +352,3 @@ def _one_by_one(targets: Tensor | LightSum) -> list[LightSum]:
     """Each of the targets, amounts ``(n,)``."""
     lights = LightSum.single(targets) if isinstance(targets, Tensor) else targets
     return [lights[index] for index in range(len(lights.amounts))]
-
-
-def is_behind(light: LightSum) -> bool:
-    """Whether any of a light's directions that give light is behind the face."""
-    return bool((light.amounts * light.directions[..., 2] < 0).any())
-
-
-def edges(light: LightSum) -> list[LightSum]:
-    """A ``light`` with amounts ``(1, n)``, what of it is behind the face brought to the image plane: to the nearest
-    side fully, to the others the more, the nearer it is to the axis, where all are alike."""
-    behind = light.directions[..., 2] < 0
-    away = torch.nn.functional.pad(light.directions[..., :2], (0, 1))
-    length = away.norm(dim=-1, keepdim=True)
-    away = torch.where(length < 1e-6, away.new_tensor((1.0, 0.0, 0.0)), away / length.clamp_min(1e-6))
-    side = torch.stack((-away[..., 1], away[..., 0], away[..., 2]), -1)
-    depth = light.directions[..., 2].neg().clamp_min(0).sqrt()
-    sides = ((away, torch.ones_like(depth)), (-away, depth), (side, depth), (-side, depth))
-    return [
-        LightSum(
-            torch.where(behind[..., None], edge, light.directions), torch.where(behind, share, 1.0) * light.amounts
-        )
-        for edge, share in sides
-    ]

@@ -10,19 +10,20 @@ import torch
 from torch import Tensor, nn
 
 from facerelight.geometry.lights import unit_lights
-from facerelight.geometry.sources import LightMixture
-from facerelight.geometry.sums import LightSum, check_light_sum
+from facerelight.geometry.sums import LightSum
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.person import PersonPosterior
 from facerelight.inference.posterior import Lights, Posterior, Relit, check_targets
+from facerelight.inference.source_lights import known_sums, middle_light, source_sums
 from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.estimator import LightEstimator
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.compression import compress_estimator, decompress_estimator
-from facerelight.model.covariance import DirectionTerms, direction_terms, prior_mean
+from facerelight.model.covariance import prior_mean
 from facerelight.model.file import replacing
+from facerelight.model.light_terms import DirectionTerms, direction_terms
 from facerelight.model.registration import deform
 from facerelight.model.registration import register as find_deformation
 from facerelight.model.statistics import FaceStatistics
@@ -115,13 +116,18 @@ class StatisticalRelighter(nn.Module):
         given, images = images, self._checked(images)
         if mask is not None:
             mask = check_mask(mask, "mask", "B H W", (len(images), *images.shape[2:])).to(images.device)
-        hypotheses = self._hypotheses(images, source_lights, estimator or self.estimator, draws, generator, mask)
+
+        def find(count: int) -> LightSum:
+            finder = estimator or self.estimator or self._own_estimator()
+            return finder.sample_sums(images, count, generator, mask=mask)
+
+        hypotheses = source_sums(source_lights, images, draws, find)
         noise = self._input_noise(images, noise)  # (B, K, 1) or (B, K, P)
         deformations = None
         if register:
             deformations, images, mask, noise = self._registered(images, hypotheses, mask, noise)
             if source_lights is None:  # once more, now that it is in step with the model
-                hypotheses = self._hypotheses(images, None, estimator or self.estimator, draws, generator, mask)
+                hypotheses = source_sums(None, images, draws, find)
         shared = self._shared_terms(hypotheses)
         people = [
             PersonPosterior(
@@ -137,47 +143,6 @@ class StatisticalRelighter(nn.Module):
             for index, person in enumerate(images)
         ]
         return Posterior(people, self.statistics.size, deformations, given.dtype)
-
-    def _hypotheses(
-        self,
-        images: Tensor,
-        given: Lights | None,
-        estimator: LightEstimator | None,
-        draws: int,
-        generator: torch.Generator | None,
-        mask: Tensor | None,
-    ) -> LightSum:
-        """Equally likely lights of ``images (B, K, H, W)``, amounts ``(B, M, K, n)``: those ``given``, and samples of
-        those that are not."""
-        count, inputs = images.shape[:2]
-        if given is None:
-            lights = torch.full((count, inputs, 3), float("nan")).to(images)
-        elif isinstance(given, LightSum | LightMixture):
-            return _known_sums(given, count, inputs).to(images)
-        elif not isinstance(given, Tensor) or given.dim() < 2:
-            raise ValueError(f"source lights: expected a tensor (K, 3) or more of them, got {given!r}")
-        else:
-            lights = given.to(images)
-        if lights.dim() == 2:
-            lights = lights.expand(count, -1, -1)
-        known = lights if lights.dim() == 4 else lights[:, None]
-        if known.dim() != 4 or not known.shape[1] or (len(known), *known.shape[2:]) != (count, inputs, 3):
-            raise ValueError(
-                f"source lights: expected (K, 3), (B, K, 3) or (B, M, K, 3) for images {tuple(images.shape[:2])},"
-                f" got {tuple(lights.shape)}"
-            )
-        unknown = known.isnan().any(-1)  # (B, M, K)
-        if not unknown.any():
-            return LightSum.single(known)
-        if draws < 1:
-            raise ValueError(f"draws: expected at least 1, got {draws}")
-        each = -(-draws // known.shape[1])  # every set meets as many draws, which are an even sample by blocks
-        finder = estimator or self._own_estimator()
-        drawn = finder.sample_sums(images, each * known.shape[1], generator, mask=mask)
-        if unknown.all():
-            return drawn
-        known, unknown = (part.repeat_interleave(each, 1) for part in (known, unknown))
-        return _filled_in(known.nan_to_num(0.0), unknown, drawn)
 
     def _shared_terms(self, lights: LightSum) -> DirectionTerms | None:
         """The terms of directions that all ``lights`` share, once for everybody; those of the bootstrap's lights are
@@ -254,7 +219,7 @@ class StatisticalRelighter(nn.Module):
     def _registration(self, images: Tensor, tried: LightSum, mask: Tensor | None, noise: Tensor) -> Tensor:
         """The deformation of one face under the mean of the lights ``tried``, amounts ``(M, K, n)``: to the average
         face first, then to what the whole-face code makes of it."""
-        light = _middle(tried)
+        light = middle_light(tried)
         seen = light.amounts.sum(-1) > 0
         if not seen.any():
             return images.new_zeros(6)
@@ -315,7 +280,7 @@ class StatisticalRelighter(nn.Module):
             lights = check_shape(lights, "source lights", "B K 3", (count, inputs, 3)).to(images)
             known = LightSum.single(unit_lights(lights)).insert(1)
         else:
-            known = _known_sums(lights, count, inputs).to(images)
+            known = known_sums(lights, count, inputs).to(images)
         noise = self._input_noise(images, None)
         people = [
             MaximumLikelihood(
@@ -381,50 +346,3 @@ class StatisticalRelighter(nn.Module):
                     f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
                 ) from error
         return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator, noise)
-
-
-def _known_sums(given: LightSum | LightMixture, people: int, inputs: int) -> LightSum:
-    """Known source lights as amounts ``(people, M, inputs, n)``."""
-    if not isinstance(given, LightSum | LightMixture):
-        raise ValueError(f"source lights: expected a tensor, a LightSum or a LightMixture, got {given!r}")
-    lights = LightSum.of(given) if isinstance(given, LightMixture) else given
-    lights = check_light_sum(lights, "source lights")
-    shape = tuple(lights.amounts.shape[:-1])
-    if shape == (inputs,):
-        lights = lights.insert(0).expand(people, -1)
-    if len(lights.amounts.shape) == 3:
-        lights = lights.insert(1)
-    shape = tuple(lights.amounts.shape[:-1])
-    if len(shape) != 3 or (shape[0], shape[2]) != (people, inputs) or not shape[1]:
-        raise ValueError(
-            f"source lights: expected amounts (K, n), (B, K, n) or (B, M, K, n) for images ({people}, {inputs}),"
-            f" got {tuple(lights.amounts.shape)}"
-        )
-    return lights
-
-
-def _filled_in(known: Tensor, unknown: Tensor, drawn: LightSum) -> LightSum:
-    """``known (B, M, K, 3)`` single lights, with ``drawn`` ones, amounts ``(B, M, K, n)``, where they are
-    ``unknown (B, M, K)``."""
-    single = LightSum.single(known)
-    count = drawn.amounts.shape[-1]
-    amounts = torch.nn.functional.pad(single.amounts, (0, count - 1))  # of one direction, the others nothing
-    directions = drawn.directions.expand(*drawn.amounts.shape, 3)
-    return LightSum(
-        torch.where(unknown[..., None, None], directions, single.directions),
-        torch.where(unknown[..., None], drawn.amounts, amounts),
-    )
-
-
-def _middle(tried: LightSum) -> LightSum:
-    """The mean light, amounts ``(K, n)``, of equally likely ones, amounts ``(M, K, n)``; of single directions the mean
-    direction."""
-    if tried.shared:
-        return LightSum(tried.directions, tried.amounts.mean(0))
-    if tried.amounts.shape[-1] == 1:
-        mean = tried.vector.mean(0)  # (K, 3)
-        length = mean.norm(dim=-1, keepdim=True)
-        return LightSum.single(torch.where(length > 0, mean / length.clamp_min(1e-12), 0.0))
-    inputs = tried.amounts.shape[1]
-    amounts = tried.amounts.transpose(0, 1).reshape(inputs, -1) / len(tried.amounts)
-    return LightSum(tried.directions.transpose(0, 1).reshape(inputs, -1, 3), amounts)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.model.covariance import direction_terms, loadings_at, summed_terms
+from facerelight.model.light_terms import direction_terms, loadings_at, summed_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.buffers import LearnedModule

@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from facerelight.geometry.lights import angular_distance, even_hemisphere, nearest_lights
 from facerelight.light.estimator import LightEstimator, shared_errors
-from facerelight.model.covariance import image_covariance, light_terms, loadings_at
+from facerelight.model.covariance import image_covariance
+from facerelight.model.light_terms import light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid

@@ -4,7 +4,8 @@ that is worth for the error of an image (3.22, 3.23)."""
 import torch
 
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
-from facerelight.model.covariance import deviation_covariance, light_terms
+from facerelight.model.covariance import deviation_covariance
+from facerelight.model.light_terms import light_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 

@@ -10,7 +10,8 @@ from facerelight.geometry.lights import even_hemisphere, light_from_angles
 from facerelight.geometry.sources import Lamp, fill_light, scene_light
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.model.covariance import image_covariance, light_terms, loadings_at
+from facerelight.model.covariance import image_covariance
+from facerelight.model.light_terms import light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.gaussian import condition_gaussian
 

@@ -10,7 +10,8 @@ from facerelight.geometry.lights import light_from_angles
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
-from facerelight.model.covariance import deviation_covariance, image_covariance, light_terms, prior_mean
+from facerelight.model.covariance import deviation_covariance, image_covariance, prior_mean
+from facerelight.model.light_terms import light_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.gaussian import SequentialConditional, condition_gaussian
 from facerelight.numerics.mixture import draw_mixture, histogram_mode, mixture_mode

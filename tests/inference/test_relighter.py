@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from facerelight.geometry.lights import angular_distance
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
-from facerelight.model.covariance import image_covariance, light_terms
+from facerelight.model.covariance import image_covariance
+from facerelight.model.light_terms import light_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.sampling import quasi_normal
 
@@ -48,7 +49,8 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
     images = small[12:13, :2].double() if len(small) > 12 else torch.rand(1, 2, *small.shape[2:], dtype=torch.float64)
     out = StatisticalRelighter(statistics, "face", noise=0)(images, target, source_lights=sources)
 
-    from facerelight.model.covariance import loadings_at, prior_mean
+    from facerelight.model.covariance import image_covariance
+    from facerelight.model.light_terms import light_terms, loadings_at
 
     every = torch.cat((sources, target))
     terms = light_terms(statistics, statistics.face.residual, every, statistics.face)

@@ -9,7 +9,8 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.evidence import NOISE, ImageEvidence
 from facerelight.light.soft import fit_soft_light
-from facerelight.model.covariance import image_covariance, light_terms, loadings_at
+from facerelight.model.covariance import image_covariance
+from facerelight.model.light_terms import light_terms, loadings_at
 from facerelight.model.statistics import FaceStatistics
 
 

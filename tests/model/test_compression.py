@@ -19,8 +19,9 @@ from facerelight.geometry.lights import even_hemisphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.kernel import KernelIlluminationEstimator
 from facerelight.model.compression import HALF_WAY, STEPS, checksum, compress, decompress, deflate_maps, inflate_maps
-from facerelight.model.covariance import image_covariance, light_terms
+from facerelight.model.covariance import image_covariance
 from facerelight.model.learning import FitOptions
+from facerelight.model.light_terms import light_terms
 from facerelight.model.statistics import FaceStatistics
 from facerelight.photo import load_relighter
 
