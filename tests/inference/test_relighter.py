@@ -49,7 +49,7 @@ def test_face_model_matches_joint_gaussian(people: torch.Tensor, lights: torch.T
     images = small[12:13, :2].double() if len(small) > 12 else torch.rand(1, 2, *small.shape[2:], dtype=torch.float64)
     out = StatisticalRelighter(statistics, "face", noise=0)(images, target, source_lights=sources)
 
-    from facerelight.model.covariance import image_covariance
+    from facerelight.model.covariance import image_covariance, prior_mean
     from facerelight.model.light_terms import light_terms, loadings_at
 
     every = torch.cat((sources, target))
