@@ -224,7 +224,9 @@ class FaceModel:
     def std(self, direction: np.ndarray) -> np.ndarray:
         """Standard deviation of :meth:`radiance` under one light ``(3,)``, ``(h, w)``."""
         light = self._from_head(direction[None]).to(self.relighter.statistics.lights)
-        return (self._variance(light)[0, 0].sqrt() * self.exposure).cpu().numpy()
+        noise = (self.relighter.noise / 255) ** 2  # of a new picture, which no exposure scales
+        known = (self._variance(light)[0, 0] - noise).clamp_min(0) * self.exposure**2
+        return (known + noise).sqrt().cpu().numpy()
 
     def _from_head(self, directions: np.ndarray) -> Tensor:
         """``directions (P, 3)`` as the head sees them, none from behind it."""

@@ -100,7 +100,7 @@ def adapt(
     Args:
         statistics: solved, and still keeping their images.
         people: one or more, the more lights each the better.
-        estimator: finds lights that are unknown.
+        estimator: finds lights that are unknown; None: the statistics' own likelihood.
         prior_heads: how many people the rendered mean counts for; the rendered covariance counts for as many as there
             are heads.
 
@@ -108,8 +108,7 @@ def adapt(
         New statistics under the same lights, in memory; ``statistics`` stay as they are.
 
     Raises:
-        RuntimeError: the statistics were loaded, and their images are not kept; or a light is unknown and there is no
-            estimator.
+        RuntimeError: the statistics were loaded, and their images are not kept.
         ValueError: nobody to adapt to, or images of another size.
     """
     if statistics.store is None:

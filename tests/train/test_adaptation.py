@@ -61,8 +61,6 @@ def test_what_cannot_be_adapted_is_refused(people: torch.Tensor, lights: torch.T
         adapt(prior, [])
     with pytest.raises(ValueError, match="prior_heads"):
         adapt(prior, [person(people[5], lights)], prior_heads=0)
-    with pytest.raises(RuntimeError, match="no estimator"):
-        adapt(prior, [person(people[5][:1], torch.full((1, 3), torch.nan))])
     prior.save(tmp_path / "prior.safetensors")
     with pytest.raises(RuntimeError, match="loaded"):
         adapt(FaceStatistics.load(tmp_path / "prior.safetensors"), [person(people[5], lights)])
