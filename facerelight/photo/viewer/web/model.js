@@ -26,7 +26,7 @@ class Darkroom {
   constructor(canvas, model, webgl) {
     this.model = model;
     this.grids = {};
-    this.seconds = [];
+    this.drafts = []; // seconds
     this.painter = webgl ? anyPainter(canvas, model) : new Painter(canvas, model);
   }
 
@@ -38,8 +38,8 @@ class Darkroom {
     const ratios = ratio.of(sources);
     const { change, exposure } = ratio.exposure(ratios);
     this.painter.draw({ ratios, ratio, change, exposure, strength, draft });
-    this.seconds.push((performance.now() - started) / 1000);
-    if (this.seconds.length > 60) this.seconds.shift();
+    if (draft) this.drafts.push((performance.now() - started) / 1000);
+    if (this.drafts.length > 60) this.drafts.shift();
   }
 }
 

@@ -8,7 +8,7 @@ const SLIDERS = ["azimuth", "elevation", "size", "power"];
 const get = (id) => document.getElementById(id);
 const facing = ({ azimuth, elevation }) => {
   const side = Math.round(Math.abs(azimuth)), high = Math.round(Math.abs(elevation));
-  const across = side ? `${side}° ${azimuth > 0 ? "left" : "right"}` : "in the middle";
+  const across = side ? `${side}° ${azimuth > 0 ? "left" : "right"}` : "middle";
   return `${across}, ${high ? `${high}° ${elevation > 0 ? "above" : "below"}` : "level"}`;
 };
 
@@ -63,7 +63,8 @@ class Page {
       read(target.value);
       this.changed();
     });
-    for (const name of SLIDERS) bind(name, (value) => { this.lamp[name] = Number(value); });
+    // a slider moves the way the lamp does: to the right for less azimuth
+    for (const name of SLIDERS) bind(name, (value) => { this.lamp[name] = name === "azimuth" ? -value || 0 : Number(value); });
     bind("colour", (value) => { this.lamp.colour = value; });
     for (const name of ["fill", "strength"]) bind(name, (value) => { this.scene[name] = Number(value); });
     bind("wipe", (value) => { this.wipe = Number(value); });
@@ -185,18 +186,19 @@ class Page {
     if (!draft && this.fine === wanted) return;
     this.darkroom.show(this.scene, draft);
     this.fine = draft ? "" : wanted;
-    const { seconds, painter } = this.darkroom, shown = draft && seconds[seconds.length - 1];
-    if (shown) this.rate = 1 / shown;
-    get("foot").textContent = `${this.about.text} Drawn with ${painter.name}${this.rate ? `, ${Math.round(this.rate)} frames a second` : ""}.`;
+    const { painter } = this.darkroom, drafts = this.darkroom.drafts.slice(-15);
+    const rate = drafts.length < 10 ? "" : `, ${Math.round(drafts.length / drafts.reduce((a, b) => a + b))} frames a second`;
+    get("foot").textContent = `${this.about.text} Drawn with ${painter.name}${rate}.`;
   }
 
   controls() {
     const { lamp, scene } = this;
-    for (const name of SLIDERS) get(name).value = lamp[name];
+    for (const name of SLIDERS) get(name).value = name === "azimuth" ? -lamp[name] : lamp[name];
     get("colour").value = lamp.colour;
     get("fill").value = scene.fill;
     get("strength").value = scene.strength;
     get("wipe").value = this.wipe;
+    get("wipe-out").textContent = `${Math.round(100 * this.wipe)} %`;
     get("azimuth-out").textContent = facing({ ...lamp, elevation: 0 }).split(",")[0];
     get("elevation-out").textContent = facing(lamp).split(", ")[1];
     get("size-out").textContent = `${lamp.size}°, ${lamp.size < 3 ? "bare bulb" : lamp.size < 10 ? "reflector" : lamp.size < 25 ? "soft box" : "window"}`;
@@ -205,6 +207,10 @@ class Page {
     get("strength-out").textContent = `${Math.round(100 * scene.strength)} %`;
     for (const name of [...SLIDERS, "fill", "strength"]) {
       get(name).setAttribute("aria-valuetext", get(`${name}-out`).textContent);
+    }
+    for (const one of get("presets").children) {
+      const { lamps, fill } = PRESETS[one.textContent], same = JSON.stringify([lamps, fill]);
+      one.setAttribute("aria-pressed", String(same === JSON.stringify([scene.lamps, scene.fill])));
     }
     get("command").textContent = this.said();
     drawBall(get("ball"), scene.lamps, this.selected, scene.fill, this.model.facts.constants.luminance);
@@ -221,10 +227,11 @@ class Page {
     group.dataset.shown = wanted;
     group.replaceChildren();
     lamps.forEach(({ colour }, k) => {
-      const one = button(group, `Lamp ${k + 1}`, () => {
+      const one = button(group, String(k + 1), () => {
         this.selected = k;
         this.changed(this.spoken());
       });
+      one.setAttribute("aria-label", `Lamp ${k + 1}`);
       one.setAttribute("aria-pressed", String(k === this.selected));
       const dot = document.createElement("span");
       dot.className = "dot";
@@ -351,7 +358,7 @@ async function start(photo, data, about) {
     window.addEventListener("resize", () => page.controls());
     window.facerelight = {
       painter: darkroom.painter.name,
-      seconds: darkroom.seconds,
+      get seconds() { return darkroom.drafts.slice(); },
       get scene() { return structuredClone(page.scene); },
       set(scene) {
         Object.assign(page.scene, structuredClone(scene));

@@ -68,7 +68,7 @@ class Ratio {
       const size = source.size >= SOFT ? soft : source.size; // large ones are taken together
       const key = [size, ...source.directions[0], source.directions.length, source.weights[0]].join();
       const found = kept(this.cache, key, 5, () => ({
-        face: this.ontoFace(this.faceLight({ ...source, size })),
+        face: this.ontoFace(this.faceLight(this.shading.coarse ? gathered(source, size) : { ...source, size })),
         bust: shading.lit({ ...source, size }, SOFT),
       }));
       for (let c = 0; c < channels; c++) {
@@ -222,6 +222,14 @@ class Ratio {
     const lift = LIFT * change * Math.max(1 - Math.max(before, 0.5 * facts.white) / ROOM, 0);
     return { change, exposure: clamp(Math.log(before / after) + lift, DARKER, BRIGHTER) };
   }
+}
+
+// a lamp as one point, a draft of it; the fill and other wide ones stay what they are
+function gathered(source, size) {
+  if (size > 16) return { ...source, size };
+  const total = source.weights.reduce((sum, one) => sum + one, 0);
+  const mean = [0, 1, 2].map((axis) => source.directions.reduce((sum, one) => sum + one[axis], 0));
+  return { directions: [unit(mean)], weights: [total], size };
 }
 
 function largest(values) {

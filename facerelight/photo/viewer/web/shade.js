@@ -5,6 +5,7 @@ class Shading {
   constructor(model, coarse) {
     const { arrays, facts } = model, { fine, bust, kept } = facts, [top, bottom, left, right] = kept;
     this.constants = { ...facts.constants.surface, ...facts.constants.shading };
+    this.coarse = coarse > 1;
     this.density = fine.density / coarse;
     this.row = top / coarse;
     this.column = left / coarse;
@@ -81,7 +82,7 @@ class Shading {
     const side = Math.max(Math.hypot(x, y), 1e-6);
     const towards = [x / side, y / side].map((value) => Math.round(value * 1e4) / 1e4), key = towards.join();
     return kept(this.fineEnds, key, 6, () => this.marched(this.surface, this.density, towards, {
-      first: 0.03, growth: 1.035, bias: this.constants.FINE_BIAS,
+      first: 0.03, growth: this.coarse ? 1.09 : 1.035, bias: this.constants.FINE_BIAS,
       row: this.row, column: this.column, height: this.height, width: this.width,
     }));
   }
