@@ -70,13 +70,18 @@ def _unsure(session: PhotoRelighter) -> dict[str, Packed]:
 
 def _bust(session: PhotoRelighter, rows: slice, columns: slice) -> dict[str, Packed]:
     bust = session._ratio.shading.bust
-    normals = bust.fine_normal[rows, columns, :2].transpose(2, 0, 1)
     return {
-        "bust_normal": Packed(bust.normal[..., :2].transpose(2, 0, 1), NORMAL),
+        "bust_normal": Packed(_flattened(bust.normal), NORMAL),
         "bust_low": Packed(session._ratio.shading.low, HEIGHT),
         "fine_height": Packed(bust.fine, HEIGHT),
-        "fine_normal": Packed(normals, NORMAL),
+        "fine_normal": Packed(_flattened(bust.fine_normal[rows, columns]), NORMAL),
     }
+
+
+def _flattened(normal: np.ndarray) -> np.ndarray:
+    """Unit vectors ``(h, w, 3)`` towards the viewer on the plane, ``(2, h, w)``, by stereographic projection: as exact
+    where the surface turns away as where it faces the camera."""
+    return (normal[..., :2] / (1 + normal[..., 2:])).transpose(2, 0, 1)
 
 
 def _person(session: PhotoRelighter) -> dict[str, Packed]:
@@ -138,7 +143,11 @@ def _light(session: PhotoRelighter) -> dict[str, Any]:
     skin = luminance[shown.sure_skin]
     azimuth, elevation = session.source_angles
     return {
-        "own": {"directions": own.directions.tolist(), "weights": own.weights[:, 0].tolist(), "size": float(own.size[0])},
+        "own": {
+            "directions": own.directions.tolist(),
+            "weights": own.weights[:, 0].tolist(),
+            "size": float(own.size[0]),
+        },
         "fill": {"directions": fill.directions.tolist(), "weights": fill.weights[:, 0].tolist()},
         "dark": float(session._ratio.dark),
         "white": float(np.quantile(luminance, person.WHITE)),
@@ -161,4 +170,6 @@ def _constants() -> dict[str, Any]:
 
 
 def _plain(value: object) -> bool:
-    return isinstance(value, int | float) or (isinstance(value, tuple) and all(isinstance(v, int | float) for v in value))
+    return isinstance(value, int | float) or (
+        isinstance(value, tuple) and all(isinstance(v, int | float) for v in value)
+    )

@@ -24,7 +24,7 @@ class Packed(NamedTuple):
 
 
 def pack(arrays: Mapping[str, Packed], facts: Mapping[str, Any]) -> str:
-    """Base64 of: the length of the header as four bytes, little-endian; the header, JSON; the arrays, deflated together.
+    """Base64 of: the header's length as four bytes, little-endian; the header, JSON; the arrays, deflated together.
 
     Args:
         arrays: by name.
@@ -44,7 +44,9 @@ def pack(arrays: Mapping[str, Packed], facts: Mapping[str, Any]) -> str:
         whole = np.round(np.asarray(values, np.float64) / step)
         kind = np.uint8 if step == 1 / 255 and whole.min() >= 0 and whole.max() <= 255 else np.int16
         if not (np.isfinite(whole).all() and np.abs(whole).max() <= 32767):
-            raise ValueError(f"{name}: expected finite values within {32767 * step:g}, got up to {np.abs(values).max()}")
+            raise ValueError(
+                f"{name}: expected finite values within {32767 * step:g}, got up to {np.abs(values).max()}"
+            )
         bits = 8 * np.dtype(kind).itemsize
         foretold = _differences(whole.astype(np.int64)) % 2**bits
         blocks.append(foretold.astype(f"<u{bits // 8}").tobytes())

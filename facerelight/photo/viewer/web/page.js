@@ -367,7 +367,10 @@ async function start(photo, data, about) {
         page.draw(false);
       },
       draft: (scene) => darkroom.show({ ...page.scene, ...scene }, true),
-      picture: () => darkroom.painter.canvas.toDataURL("image/png"),
+      picture() {
+        page.draw(false);
+        return darkroom.painter.canvas.toDataURL("image/png");
+      },
     };
   } catch (error) {
     get("busy").textContent = `This page could not be set up: ${error.message}`;

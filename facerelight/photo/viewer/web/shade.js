@@ -14,8 +14,8 @@ class Shading {
     const heights = arrays.fine_height[0];
     this.surface = coarse === 1 ? heights : heights.resized(heights.height / coarse, heights.width / coarse);
     const shrink = (map) => (coarse === 1 ? map : map.shrunk(this.height, this.width));
-    this.normal = withDepth(arrays.fine_normal.map(shrink));
-    this.softNormal = withDepth(arrays.bust_normal);
+    this.normal = raised(arrays.fine_normal).map(shrink);
+    this.softNormal = raised(arrays.bust_normal);
     this.low = arrays.bust_low[0];
     this.bust = bust;
     this.fine = fine;
@@ -136,7 +136,7 @@ class Shading {
   }
 }
 
-// from where to where in each row there is anybody, and a little beyond
+// from where to where in each row there is anybody, and a little beyond; below the grid its last rows are repeated
 function nearPerson(surface, below, density, { row, column, height, width }) {
   const aside = Math.ceil(0.35 * density);
   const own = Array.from({ length: height }, (_, k) => {
@@ -145,15 +145,17 @@ function nearPerson(surface, below, density, { row, column, height, width }) {
     return first < 0 ? [width, 0] : [first, line.findLastIndex((value) => value > below) + 1];
   });
   return own.map((_, k) => {
+    if (k + aside >= height) return [0, width];
     const near = own.slice(Math.max(0, k - aside), k + aside + 1);
     const start = Math.min(...near.map(([first]) => first)), end = Math.max(...near.map(([, last]) => last));
     return start < end ? [Math.max(0, start - aside), Math.min(width, end + aside)] : [0, 0];
   });
 }
 
-// normals of which two parts are given, the third towards the viewer
-function withDepth([across, up]) {
-  return [across, up, across.map((x, p) => Math.sqrt(Math.max(1 - x * x - up.values[p] ** 2, 0)))];
+// unit vectors that were flattened onto the plane
+function raised([across, up]) {
+  const long = across.map((x, p) => x * x + up.values[p] ** 2), scaled = (x, p) => (2 * x) / (1 + long.values[p]);
+  return [across.map(scaled), up.map(scaled), long.map((square) => (1 - square) / (1 + square))];
 }
 
 function addLambert(sum, normal, [x, y, z], weight, wrap) {
