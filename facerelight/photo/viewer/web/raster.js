@@ -76,6 +76,16 @@ class Raster {
     return out;
   }
 
+  // with one more pixel on every side
+  framed(value) {
+    const out = new Raster(this.height + 2, this.width + 2);
+    out.values.fill(value);
+    for (let row = 0; row < this.height; row++) {
+      out.values.set(this.values.subarray(row * this.width, (row + 1) * this.width), (row + 1) * out.width + 1);
+    }
+    return out;
+  }
+
   // Gaussian, `sigma` in pixels; a wide one on a smaller raster
   blurred(sigma) {
     if (sigma <= WIDE) return this.gaussian(Math.max(sigma, 0.3));

@@ -107,19 +107,17 @@ class Shading {
   marched(surface, density, towards, { first, growth, bias, row, column, height, width }) {
     const { BELOW, REACH } = this.constants;
     const steepest = new Raster(height, width), most = steepest.values.fill(-8);
-    const tall = surface.height, wide = surface.width, values = surface.values;
-    const spans = nearPerson(surface, BELOW, density, { row, column, height, width });
+    const rimmed = surface.framed(BELOW), tall = rimmed.height, wide = rimmed.width, values = rimmed.values;
     for (let step = first, distance = first; distance < REACH; step *= growth, distance += step) {
       const dx = Math.round(distance * towards[0] * density * 32) / 32;
       const dy = Math.round(-distance * towards[1] * density * 32) / 32;
       const x0 = Math.floor(dx), y0 = Math.floor(dy), u = dx - x0, v = dy - y0;
       const a = (1 - u) * (1 - v), b = u * (1 - v), c = (1 - u) * v, d = u * v;
       for (let k = 0; k < height; k++) {
-        const here = row + k, there = here + y0;
+        const here = row + 1 + k, there = here + y0;
         const inside = there >= 0 && there < tall - 1;
-        const [start, end] = spans[k];
-        for (let p = k * width + start, from = here * wide + column + start, x = column + start + x0;
-          p < k * width + end; p++, from++, x++) {
+        for (let p = k * width, from = here * wide + column + 1, x = column + 1 + x0; p < (k + 1) * width;
+          p++, from++, x++) {
           const own = values[from];
           let reached = BELOW;
           if (inside && x >= 0 && x < wide - 1) {
@@ -134,22 +132,6 @@ class Shading {
     for (let p = 0; p < most.length; p++) most[p] = Math.atan(most[p]);
     return steepest;
   }
-}
-
-// from where to where in each row there is anybody, and a little beyond; below the grid its last rows are repeated
-function nearPerson(surface, below, density, { row, column, height, width }) {
-  const aside = Math.ceil(0.35 * density);
-  const own = Array.from({ length: height }, (_, k) => {
-    const line = surface.values.subarray((row + k) * surface.width + column, (row + k) * surface.width + column + width);
-    const first = line.findIndex((value) => value > below);
-    return first < 0 ? [width, 0] : [first, line.findLastIndex((value) => value > below) + 1];
-  });
-  return own.map((_, k) => {
-    if (k + aside >= height) return [0, width];
-    const near = own.slice(Math.max(0, k - aside), k + aside + 1);
-    const start = Math.min(...near.map(([first]) => first)), end = Math.max(...near.map(([, last]) => last));
-    return start < end ? [Math.max(0, start - aside), Math.min(width, end + aside)] : [0, 0];
-  });
 }
 
 // unit vectors that were flattened onto the plane
