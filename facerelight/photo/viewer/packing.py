@@ -34,10 +34,10 @@ def pack(arrays: Mapping[str, Packed], facts: Mapping[str, Any]) -> str:
         ValueError: values that 16 bits do not hold at their step.
 
     Example:
-        >>> text = pack({"ramp": Packed(np.linspace(0, 1, 6).reshape(2, 3), 1e-3)}, {"name": "a"})
+        >>> text = pack({"ramp": Packed(np.arange(6).reshape(2, 3) / 4, 2**-8)}, {"name": "a"})
         >>> arrays, facts = unpack(text)
-        >>> facts["name"], arrays["ramp"].round(2).tolist()
-        ('a', [[0.0, 0.2, 0.4], [0.6, 0.8, 1.0]])
+        >>> facts["name"], arrays["ramp"].tolist()
+        ('a', [[0.0, 0.25, 0.5], [0.75, 1.0, 1.25]])
     """
     blocks, entries = [], {}
     for name, (values, step) in arrays.items():
