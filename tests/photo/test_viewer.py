@@ -244,8 +244,9 @@ def test_three_lamps_compared_doubted_and_saved(opened: Open, portrait: np.ndarr
     page.get_by_role("button", name="Two colours").click()
     assert "--light 65,10,size=10,colour=ff9d5c --light -65,10" in page.locator("#command").text_content()
     page.get_by_role("button", name="Compare").click()
-    frame = page.locator("#frame").bounding_box()
-    places = [(frame["x"] + share * frame["width"], frame["y"] + 0.7 * frame["height"]) for share in (0.5, 0.2)]
+    frame, wiped = page.locator("#frame").bounding_box(), float(page.locator("#wipe").input_value())
+    assert 0.3 < wiped < 0.6  # through the face
+    places = [(frame["x"] + share * frame["width"], frame["y"] + 0.7 * frame["height"]) for share in (wiped, 0.2)]
     page.mouse.move(*places[0])
     page.mouse.down()
     page.mouse.move(*places[1], steps=3)

@@ -14,7 +14,7 @@ const facing = ({ azimuth, elevation }) => {
 
 class Page {
   constructor(model, darkroom, about) {
-    Object.assign(this, { model, darkroom, about, selected: 0, wipe: 0.5, timer: 0, pending: false });
+    Object.assign(this, { model, darkroom, about, selected: 0, timer: 0, pending: false });
     this.scene = structuredClone({ ...PRESETS.Loop, strength: 1 });
     this.doubt = new Dome(model.arrays.unsure_basis, model.arrays.unsure_table);
     get("frame").parentElement.parentElement.style.setProperty("--ratio", model.photo.width / model.photo.height);
@@ -46,6 +46,7 @@ class Page {
     const [x, y] = toPhoto(FACE_MIDDLE[0] + AROUND_FACE, FACE_MIDDLE[1]);
     this.reach = Math.hypot((x - this.middle[0]) * width, (y - this.middle[1]) * height);
     this.toPhoto = toPhoto;
+    this.wipe = clamp(this.middle[0], 0.1, 0.9);
   }
 
   presets() {
@@ -188,7 +189,9 @@ class Page {
     this.fine = draft ? "" : wanted;
     const { painter } = this.darkroom, drafts = this.darkroom.drafts.slice(-15);
     const rate = drafts.length < 10 ? "" : `, ${Math.round(drafts.length / drafts.reduce((a, b) => a + b))} frames a second`;
-    get("foot").textContent = `${this.about.text} Drawn with ${painter.name}${rate}.`;
+    const [azimuth, elevation] = this.model.facts.source;
+    const own = `The photo's own light: ${facing({ azimuth, elevation })}.`;
+    get("foot").textContent = `${own} ${this.about.text} Drawn with ${painter.name}${rate}.`;
   }
 
   controls() {
