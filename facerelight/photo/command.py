@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["relight_parser", "run_relight"]
 
+INTERRUPTED = 130  # exit code, as shells have it
 COVARIANCES = ("face", "pixel")
 QUALITIES = ("draft", "standard", "reference")
 EPILOG = """The relit photo keeps size, depth, colour profile, EXIF and alpha. JPEG is written at quality 95 without
@@ -125,18 +126,22 @@ def _run_batch(
         _say(f"{len(jobs) - len(wanted)} of {len(jobs)} photos were done before")
     progress, codes = Progress(len(wanted), sys.stderr), []
     model = Model(statistics_folder(arguments.statistics, arguments.quality), arguments.covariance)
-    for outcome in relight_jobs(wanted, request, load, model, arguments.workers):
-        for line in outcome.said:
-            _say(line)
-        manifest.add(outcome)
-        codes.append(outcome.code)
-        if arguments.json:
-            print(json.dumps(outcome.report), flush=True)
-        elif not outcome.code:
-            print("\n".join(outcome.report["output"]), flush=True)
-        if not outcome.code:
-            _explain(outcome.report, arguments)
-        progress.step(outcome.code > 0)
+    try:
+        for outcome in relight_jobs(wanted, request, load, model, arguments.workers):
+            for line in outcome.said:
+                _say(line)
+            manifest.add(outcome)
+            codes.append(outcome.code)
+            if arguments.json:
+                print(json.dumps(outcome.report), flush=True)
+            elif not outcome.code:
+                print("\n".join(outcome.report["output"]), flush=True)
+            if not outcome.code:
+                _explain(outcome.report, arguments)
+            progress.step(outcome.code > 0)
+    except KeyboardInterrupt:
+        _say("interrupted; the same command with --resume goes on")
+        return INTERRUPTED
     failed = sum(code > 0 for code in codes)
     if failed:
         _say(f"{failed} of {len(wanted)} photos could not be relit; {manifest.path} says which and why")

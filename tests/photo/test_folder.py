@@ -102,3 +102,21 @@ def test_several_processes_do_the_same(folder: Path, tmp_path: Path, capsys: pyt
         outcome[workers] = [np.asarray(Image.open(out / f"{name}_relit.png")) for name in "ab"]
     for one, two in zip(*outcome.values(), strict=True):
         assert np.abs(one.astype(int) - two).max() <= 1
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    made: list[FakeSession],  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def stopped(self: FakeSession, *_: object, **__: object) -> np.ndarray:
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        return self.pixels
+
+    monkeypatch.setattr(FakeSession, "render", stopped)
+    for name in ("in/a.png", "in/b.png", "in/c.png"):
+        photo(name)
+    assert run("in", "--output", "out") == 130
+    assert "--resume goes on" in capsys.readouterr().err
+    assert [row["photo"] for row in rows()] == ["in/a.png"]

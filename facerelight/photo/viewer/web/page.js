@@ -308,7 +308,8 @@ class Page {
     const words = lamps.map(({ azimuth, elevation, size, power, colour }) => [
       `--light ${azimuth},${elevation},size=${size}`, power === 1 ? "" : `,power=${power}`,
       colour === "#ffffff" ? "" : `,colour=${colour.slice(1)}`].join(""));
-    return ["facerelight relight", this.about.file, ...words, `--fill ${fill}`, strength === 1 ? "" : `--strength ${strength}`]
+    const { file } = this.about, named = /^[\w./-]+$/.test(file) ? file : `'${file.replaceAll("'", "'\\''")}'`;
+    return ["facerelight relight", named, ...words, `--fill ${fill}`, strength === 1 ? "" : `--strength ${strength}`]
       .filter(Boolean).join(" ");
   }
 
