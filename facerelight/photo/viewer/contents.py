@@ -24,6 +24,7 @@ FACE_RINGS, FACE_PLACES = 19, 48
 FACE_BOUND = 0.002  # of light from 0 to 1, root mean square over face and dome
 UNSURE_RINGS, UNSURE_PLACES, UNSURE_BOUND = 4, 8, 0.002
 SMOOTH = 12.0  # pixels a unit of the maps of the skin's colours and the ground, which are averages over wider places
+COARSEST = 4  # pixels of the fine grid that are one where the page draws in haste
 ASIDE = 1.0  # units of the bust beyond the person that are kept
 BYTE = 1 / 255
 RADIANCE, HEIGHT, NORMAL, SHARE, COLOUR = 2**-11, 2**-12, 2**-10, 2**-14, 2**-10  # steps at which values are kept
@@ -107,15 +108,15 @@ def _person(session: PhotoRelighter) -> dict[str, Packed]:
 
 
 def _kept(session: PhotoRelighter) -> tuple[slice, slice]:
-    """Rows and columns of :data:`FINE`, both even, that show the person, and somewhat more."""
+    """Rows and columns of :data:`FINE` that show the person, and somewhat more."""
     seen = session.window.onto(session.person.cover, FINE, cv2.BORDER_CONSTANT) > 0
     if not seen.any():
         seen[...] = True
     found = []
     for along, size in zip((seen.any(1), seen.any(0)), FINE.size, strict=True):
         where, aside = np.flatnonzero(along), round(ASIDE * FINE.density)
-        low, high = int(where[0]) - aside, int(where[-1]) + aside + 2
-        found.append(slice(max(0, low) // 2 * 2, min(size, high) // 2 * 2))
+        low, high = int(where[0]) - aside, int(where[-1]) + aside
+        found.append(slice(max(0, low // COARSEST * COARSEST), min(size, (high // COARSEST + 1) * COARSEST)))
     return found[0], found[1]
 
 

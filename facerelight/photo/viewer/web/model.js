@@ -1,6 +1,7 @@
 // What the page knows, and pictures of it under any light.
 
-const COARSE = 2; // while the light moves, of the fine grid
+const COARSE = [2, 4]; // pixels of the fine grid that are one while the light moves; the second on slow machines
+const SLOW = 0.07; // seconds a frame
 
 async function loadModel(photo, data) {
   const { arrays, facts } = await unpack(data);
@@ -26,13 +27,14 @@ class Darkroom {
   constructor(canvas, model, webgl) {
     this.model = model;
     this.grids = {};
+    this.slow = false;
     this.drafts = []; // seconds
     this.painter = webgl ? anyPainter(canvas, model) : new Painter(canvas, model);
   }
 
   // draws; a draft is coarser where shadows end
   show({ lamps, fill, strength }, draft) {
-    const started = performance.now(), coarse = draft ? COARSE : 1;
+    const started = performance.now(), coarse = draft ? COARSE[this.slow ? 1 : 0] : 1;
     const ratio = (this.grids[coarse] = this.grids[coarse] || new Ratio(this.model, coarse));
     const sources = sceneSources(lamps, fill, this.model.facts);
     const ratios = ratio.of(sources);
@@ -40,6 +42,8 @@ class Darkroom {
     this.painter.draw({ ratios, ratio, change, exposure, strength, draft });
     if (draft) this.drafts.push((performance.now() - started) / 1000);
     if (this.drafts.length > 60) this.drafts.shift();
+    const last = this.drafts.slice(-6); // the first one sets up
+    if (draft && last.length > 5 && Math.min(...last) > SLOW) this.slow = true;
   }
 }
 
