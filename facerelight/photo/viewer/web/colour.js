@@ -54,8 +54,8 @@ class Painter {
     return layer;
   }
 
-  draw({ ratios, ratio, change, exposure, strength, draft }) {
-    const step = draft ? 2 : 1, layer = this.layer(step), { columns, rows } = layer;
+  draw({ ratios, ratio, change, exposure, strength, step }) {
+    const layer = this.layer(step), { columns, rows } = layer;
     const image = this.plain(step, columns, rows), out = image.data, logs = [0, 0, 0], relit = [0, 0, 0];
     for (let k = 0; k < layer.count; k++) {
       const [x, y] = ratio.fromCopy(layer.x[k], layer.y[k]);

@@ -10,7 +10,7 @@ uniform sampler2D photo, ratio, masks, eyeballs, diffuses, casts, grounds;
 uniform vec4 window;               // left, top, width, height, pixels of the photo
 uniform vec2 copy;                 // width, height
 uniform mat3 toRatio;              // copy to the ratio's raster, 0 to 1
-uniform float height, change, exposure, strength;
+uniform float rows, skip, change, exposure, strength;
 uniform vec3 typical;
 out vec4 shown;
 float most(vec3 v) { return max(max(v.r, v.g), v.b); }
@@ -23,7 +23,7 @@ vec3 develop(vec3 e) {
   return (1.0 + SHOULDER) * raised / (1.0 + SHOULDER * raised);
 }
 void main() {
-  vec2 pixel = vec2(gl_FragCoord.x, height - gl_FragCoord.y);
+  vec2 pixel = (vec2(gl_FragCoord.x, rows - gl_FragCoord.y) - 0.5) * skip + 0.5; // with skip 2 one pixel of four
   vec4 own = texelFetch(photo, ivec2(pixel), 0);
   shown = vec4(own.rgb, 1.0);
   vec2 inside = (pixel - window.xy) / window.zw;
@@ -86,11 +86,19 @@ class GLPainter {
     });
     gl.uniform4f(this.place("window"), left, top, right - left, bottom - top);
     gl.uniform2f(this.place("copy"), cover.width, cover.height);
-    gl.uniform1f(this.place("height"), model.photo.height);
     gl.uniform3fv(this.place("typical"), facts.typical);
-    canvas.width = model.photo.width;
-    canvas.height = model.photo.height;
-    gl.viewport(0, 0, canvas.width, canvas.height);
+  }
+
+  // as large as the photo, or half of that
+  resize(step) {
+    const { gl, canvas } = this, width = Math.ceil(this.photo.width / step), rows = Math.ceil(this.photo.height / step);
+    if (canvas.width !== width || canvas.height !== rows) {
+      canvas.width = width;
+      canvas.height = rows;
+    }
+    gl.viewport(0, 0, width, rows);
+    gl.uniform1f(this.place("rows"), rows);
+    gl.uniform1f(this.place("skip"), step);
   }
 
   place(name) {
@@ -109,7 +117,8 @@ class GLPainter {
     gl.uniform1i(this.place(name), number);
   }
 
-  draw({ ratios, ratio, change, exposure, strength }) {
+  draw({ ratios, ratio, change, exposure, strength, step }) {
+    this.resize(step);
     const { gl } = this, [{ width, height }] = ratios;
     const maps = ratios.length === 1 ? [ratios[0], ratios[0], ratios[0]] : ratios;
     if (this.size !== `${width} ${height}`) {

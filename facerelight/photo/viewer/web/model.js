@@ -39,7 +39,8 @@ class Darkroom {
     const sources = sceneSources(lamps, fill, this.model.facts);
     const ratios = ratio.of(sources);
     const { change, exposure } = ratio.exposure(ratios);
-    this.painter.draw({ ratios, ratio, change, exposure, strength, draft });
+    const step = draft && (this.slow || this.painter.name === "canvas") ? 2 : 1;
+    this.painter.draw({ ratios, ratio, change, exposure, strength, step });
     if (draft) this.drafts.push((performance.now() - started) / 1000);
     if (this.drafts.length > 60) this.drafts.shift();
     const last = this.drafts.slice(-6); // the first one sets up
