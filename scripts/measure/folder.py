@@ -122,14 +122,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         photos = Path(place, "photos")
         write_photos(photos, arguments.photos, arguments.broken)
-        table = [measured(photos, Path(place, f"out{workers}"), workers) for workers in (1, 2)]
+        table = []
+        for workers in (1, 2):
+            table.append(measured(photos, Path(place, f"out{workers}"), workers))
+            print(json.dumps(table[-1]), flush=True)
         output = Path(place, "resumed")
         interrupted(command(photos, output, 2), output, arguments.photos // 2)
         before = sum(row["status"] == "done" for row in rows(output))
         table.append({**measured_rest(photos, output), "run": f"2 processes, interrupted after {before} photos"})
-    print(json.dumps(table, indent=1))
-    if arguments.csv:
-        parser.save_rows(arguments.csv, table)
+    print(json.dumps(table[-1]))
+    parser.save_rows(arguments.csv, table)
 
 
 def measured_rest(photos: Path, output: Path) -> dict[str, Any]:
