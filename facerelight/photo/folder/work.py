@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -74,6 +75,8 @@ def _outcome(job: Job, request: Request, load: Load) -> Outcome:
     except (ValueError, OSError, LandmarksNotFoundError) as error:
         code = 1 if isinstance(error, LandmarksNotFoundError) else 2
         return Outcome(job, code, {"photo": str(job.photo), "error": str(error)}, [*said, str(error)])
+    finally:
+        gc.collect()  # a session's maps are many megabytes, and some of them hold each other
 
 
 @lru_cache(maxsize=1)
