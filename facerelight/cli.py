@@ -1,4 +1,4 @@
-"""``facerelight train | relight | recognize``: the package from a terminal.
+"""``facerelight train | relight | viewer | recognize``: the package from a terminal.
 
 Exit codes: 0 done; 1 nothing found, or a part of several photos failed; 2 bad input; 3 the program or machine failed.
 """
@@ -26,6 +26,7 @@ TRAINING_NEEDS = ("OpenGL", "jsonargparse", "pyrender", "tqdm", "trimesh", "yaml
 VERBS = {
     "train": "render heads and learn statistics",
     "relight": "relight photos",
+    "viewer": "write a page in which a portrait is lit by hand",
     "recognize": "recognise people from one photo each",
 }
 
@@ -37,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         verb = _verb(given[:1])
-        return {"train": _train, "relight": _relight, "recognize": _recognize}[verb](given[1:])
+        return {"train": _train, "relight": _relight, "viewer": _viewer, "recognize": _recognize}[verb](given[1:])
     except SystemExit as leaving:  # a parser has said why
         return int(leaving.code or 0)
     except ValueError as error:
@@ -158,6 +159,13 @@ def _relight(argv: list[str]) -> int:
     from facerelight.photo.scenes import join_values
 
     return run_relight(relight_parser().parse_args(join_values(argv)), _statistics_folder)
+
+
+def _viewer(argv: list[str]) -> int:
+    from facerelight.photo.scenes import join_values
+    from facerelight.photo.viewer.command import run_viewer, viewer_parser
+
+    return run_viewer(viewer_parser().parse_args(join_values(argv)), _statistics_folder)
 
 
 def _recognize(argv: list[str]) -> int:

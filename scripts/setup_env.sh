@@ -22,3 +22,7 @@ if ! .venv/bin/python -c 'import ctypes; ctypes.CDLL("libEGL.so.1"); ctypes.CDLL
     echo "headless rendering needs EGL: sudo apt-get install -y --no-install-recommends $packages"; exit 1
   fi
 fi
+if [ "$1" = test ] && ! command -v chromium >/dev/null && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+  apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium fonts-dejavu-core \
+    || echo "no browser: the viewer is tested without one"
+fi

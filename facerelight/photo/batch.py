@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from facerelight.photo.files.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
 
-__all__ = ["Job", "Request", "choose_faces", "find_jobs", "relight_photo"]
+__all__ = ["DEFAULT_FOLDER", "Job", "Request", "choose_faces", "find_jobs", "is_batch", "relight_photo"]
 
 RESULT = "_relit"  # behind the name of a photo of a batch
 DEFAULT_OUTPUT, DEFAULT_FOLDER = "relit.png", "relit"
@@ -54,6 +55,11 @@ class Request(NamedTuple):
     add: bool = False
 
 
+def is_batch(photos: Sequence[str], same_person: bool) -> bool:
+    """Whether ``photos`` are relit each on its own, into a folder."""
+    return not same_person and (len(photos) > 1 or any(Path(photo).is_dir() for photo in photos))
+
+
 def find_jobs(
     photos: Sequence[str],
     scenes: Sequence[Scene],
@@ -62,18 +68,19 @@ def find_jobs(
     same_person: bool = False,
     force: bool = False,
 ) -> list[Job]:
-    """What is to be written for ``photos``, files or folders of files.
+    """What is to be written for ``photos``, files or folders of files and folders.
 
     One photo, or several of the same person, go into the file ``output`` ("relit.png"); a batch into the folder
-    ``output`` ("relit"), each photo under its own name with ``_relit`` behind it.
+    ``output`` ("relit"), each photo under its own name with ``_relit`` behind it, in folders like those that it is in.
 
     Raises:
         ValueError: a place that cannot be written to, a file that exists already unless ``force``, two results of one
             name, or a file where a folder should be named.
     """
-    batch = not same_person and (len(photos) > 1 or any(Path(photo).is_dir() for photo in photos))
-    paths = [path for photo in photos for path in _expand(Path(photo))]
+    batch = is_batch(photos, same_person)
     into = Path(output or (DEFAULT_FOLDER if batch else DEFAULT_OUTPUT))
+    found = [pair for photo in photos for pair in _expand(Path(photo), into)]
+    paths = [path for path, _ in found]
     if batch and into.suffix.lower() in SUFFIXES:
         raise ValueError(
             f"output: expected a folder for {len(paths)} photos ({_some(paths)}), got the file {str(into)!r}; "
@@ -81,11 +88,11 @@ def find_jobs(
         )
     if batch and variance:
         raise ValueError(f"variance: expected one photo, got {len(paths)}: {_some(paths)}")
-    groups = [(path, ()) for path in paths] if batch else [(paths[0], tuple(paths[1:]))]
+    groups = [(*pair, ()) for pair in found] if batch else [(*found[0], tuple(paths[1:]))]
     jobs = []
-    for photo, more in groups:
+    for photo, within, more in groups:
         suffix = photo.suffix if photo.suffix.lower() in SUFFIXES else ".png"
-        name = into / f"{photo.stem}{RESULT}{suffix}" if batch or into.is_dir() else into
+        name = into / within / f"{photo.stem}{RESULT}{suffix}" if batch or into.is_dir() else into
         jobs.append(Job(photo, more, tuple(scene_paths(name, scenes)), Path(variance) if variance else None))
     _check_outputs(jobs, paths, force)
     return jobs
@@ -250,10 +257,16 @@ def _write_map(path: Path, std: np.ndarray) -> float:
     return white
 
 
-def _expand(path: Path) -> list[Path]:
+def _expand(path: Path, into: Path) -> list[tuple[Path, Path]]:
+    """Photos, each with the folders that it is in below ``path``; of a folder all but hidden ones, and results."""
     if not path.is_dir():
-        return [path]
-    found = [photo for photo in find_photos(path) if not _is_result(photo)]
+        return [(path, Path())]
+    apart = into.resolve() if into.is_dir() and into.resolve() != path.resolve() else None
+    found = []
+    for folder, folders, _ in os.walk(path):
+        folders[:] = sorted(name for name in folders if name[0] != "." and Path(folder, name).resolve() != apart)
+        here = [photo for photo in find_photos(folder) if not _is_result(photo)]
+        found += [(photo, Path(folder).relative_to(path)) for photo in here]
     if not found:
         raise ValueError(f"{path}: expected a folder with photos ({', '.join(SUFFIXES)}), found none")
     return found

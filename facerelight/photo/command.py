@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facerelight.inference.methods import RELIGHTING_METHODS
-from facerelight.photo.batch import Job, Load, Request, find_jobs, relight_photo
+from facerelight.photo.batch import DEFAULT_FOLDER, Job, Load, Request, find_jobs, is_batch, relight_photo
 from facerelight.photo.scenes import (
     ENVIRONMENT,
     LAMP,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["relight_parser", "run_relight"]
 
+INTERRUPTED = 130  # exit code, as shells have it
 COVARIANCES = ("face", "pixel")
 SETUPS = ("rembrandt", "butterfly", "loop", "split", "clamshell", "rim")
 QUALITIES = ("draft", "standard", "reference")
@@ -44,7 +45,7 @@ def relight_parser() -> ArgumentParser:
         epilog=EPILOG,
         allow_abbrev=False,
     )
-    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, or a folder of them"
+    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, or a folder of them and of folders"
     parser.add_argument("photo", nargs="+", help=f"{formats}; several are relit each on its own")
     option = parser.add_argument_group("the new light").add_argument
     option("--light", action="append", default=[], metavar="AZ,EL,...", help=f"a lamp, {LAMP}; repeat it for more")
@@ -69,9 +70,11 @@ def relight_parser() -> ArgumentParser:
     places = "file (default: relit.png), several lights add _AZ_EL; for several photos a folder (default: relit)"
     option("--output", metavar="PLACE", help=places)
     option("--force", action="store_true", help="overwrite files that exist")
+    option("--workers", type=int, default=1, help="processes that relight a batch (default: 1)")
+    option("--resume", action="store_true", help="go on with a batch: leave out what manifest.csv says is done")
     option("--variance", metavar="FILE", help="also write a map of the standard deviation, first light")
     option("--explain", action="store_true", help="say which stages ran, why, and how long they took")
-    option("--json", action="store_true", help="print what was done as JSON")
+    option("--json", action="store_true", help="print what was done as JSON, of a batch a line for each photo")
     option = parser.add_argument_group("the model").add_argument
     methods = "the mean image, the most probable one, or n without a prior, from three photos or more"
     option("--method", default="expected", choices=RELIGHTING_METHODS, help=f"{methods} (default: expected)")
@@ -94,7 +97,13 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
     """
     request = _request(arguments)
     places = arguments.output, arguments.variance
-    jobs = find_jobs(arguments.photo, request.scenes, *places, arguments.same_person, arguments.force)
+    if arguments.workers < 1:
+        raise ValueError(f"workers: expected at least 1 process, got {arguments.workers}")
+    batch = is_batch(arguments.photo, arguments.same_person)
+    if arguments.resume and not batch:
+        raise ValueError("resume: expected several photos, or a folder of them, got what makes one result")
+    over = arguments.force or arguments.resume
+    jobs = find_jobs(arguments.photo, request.scenes, *places, arguments.same_person, over)
     if len(jobs) > 1 and request.landmarks:
         raise ValueError(f"landmarks: expected one photo with them, got {len(jobs)}")
 
@@ -105,37 +114,52 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
         folder = statistics_folder(arguments.statistics, arguments.quality)
         return StatisticalRelighter.from_pretrained(folder, arguments.covariance)
 
-    if len(jobs) > 1:
+    if batch:
         load()  # what is wrong with the statistics is wrong with every photo
-        return _run_batch(jobs, request, load, arguments)
+        return _run_batch(jobs, request, load, arguments, statistics_folder)
     report = relight_photo(jobs[0], request, load, _say)
     _explain(report, arguments)
     print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
     return 0
 
 
-def _run_batch(jobs: list[Job], request: Request, load: Load, arguments: Namespace) -> int:
-    from facerelight.photo.faces.landmarks import LandmarksNotFoundError
+def _run_batch(
+    jobs: list[Job],
+    request: Request,
+    load: Load,
+    arguments: Namespace,
+    statistics_folder: Callable[[str | None, str], Path],
+) -> int:
+    """Relight the photos, print a line for each that ended, and add it to the manifest."""
+    from facerelight.photo.folder.manifest import Manifest
+    from facerelight.photo.folder.progress import Progress
+    from facerelight.photo.folder.work import Model, relight_jobs
 
-    reports: list[dict[str, Any]] = []
-    codes = []
-    for job in jobs:
-        try:
-            reports.append(relight_photo(job, request, load, _say))
-            codes.append(0)
-        except (ValueError, OSError, LandmarksNotFoundError) as error:
-            _say(str(error))
-            reports.append({"photo": str(job.photo), "error": str(error)})
-            codes.append(1 if isinstance(error, LandmarksNotFoundError) else 2)
-            continue
-        _explain(reports[-1], arguments)
-        if not arguments.json:
-            print("\n".join(reports[-1]["output"]), flush=True)
-    if arguments.json:
-        print(json.dumps({"photos": reports}))
+    manifest = Manifest(Path(arguments.output or DEFAULT_FOLDER), request)
+    wanted = manifest.left(jobs) if arguments.resume else jobs
+    if len(wanted) < len(jobs):
+        _say(f"{len(jobs) - len(wanted)} of {len(jobs)} photos were done before")
+    progress, codes = Progress(len(wanted), sys.stderr), []
+    model = Model(statistics_folder(arguments.statistics, arguments.quality), arguments.covariance)
+    try:
+        for outcome in relight_jobs(wanted, request, load, model, arguments.workers):
+            for line in outcome.said:
+                _say(line)
+            manifest.add(outcome)
+            codes.append(outcome.code)
+            if arguments.json:
+                print(json.dumps(outcome.report), flush=True)
+            elif not outcome.code:
+                print("\n".join(outcome.report["output"]), flush=True)
+            if not outcome.code:
+                _explain(outcome.report, arguments)
+            progress.step(outcome.code > 0)
+    except KeyboardInterrupt:
+        _say("interrupted; the same command with --resume goes on")
+        return INTERRUPTED
     failed = sum(code > 0 for code in codes)
     if failed:
-        _say(f"{failed} of {len(jobs)} photos could not be relit")
+        _say(f"{failed} of {len(wanted)} photos could not be relit; {manifest.path} says which and why")
     return 0 if not failed else 2 if set(codes) == {2} else 1
 
 

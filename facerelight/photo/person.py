@@ -97,17 +97,17 @@ class Person:
         log_ratio = log_ratio * (1 - EYEBALL * self.features.eyeballs[..., None])
         change = self._change(log_ratio)
         log_ratio = log_ratio + self._exposure(log_ratio, change)
-        share = (1 - HELD * self.skin.pigment) * self._rimless  # of what becomes brighter
-        return np.where(log_ratio > 0, share[..., None] * log_ratio, log_ratio).astype(np.float32), change
+        return np.where(log_ratio > 0, self.brightened[..., None] * log_ratio, log_ratio).astype(np.float32), change
 
     @cached_property
-    def _rimless(self) -> np.ndarray:
-        """0 on the person's outline, 1 inside, ``(h, w)``: an outline that is brightened glows."""
+    def brightened(self) -> np.ndarray:
+        """How much of a brightening is let through, ``(h, w)``: less on beard, brows and fringe, and nothing on the
+        person's outline, which would glow."""
         inside = cv2.GaussianBlur(self.cover, (0, 0), max(RIM * self.window.unit, 0.5))
-        return np.clip((inside - 0.55) / 0.35, 0, 1)
+        return (1 - HELD * self.skin.pigment) * np.clip((inside - 0.55) / 0.35, 0, 1)
 
     @cached_property
-    def _sure_skin(self) -> np.ndarray:
+    def sure_skin(self) -> np.ndarray:
         """``(h, w)`` bool: what the picture is exposed for, the face where enough of it is seen."""
         skin = self.skin.skin * self.cover > 0.6
         face = skin & (self.oval < OUTLINE)
@@ -115,14 +115,14 @@ class Person:
 
     def _change(self, log_ratio: np.ndarray) -> float:
         """How surely the light is another, 0 to 1: what varies over the skin."""
-        skin = self._sure_skin
+        skin = self.sure_skin
         variance = float(np.var(log_ratio.mean(-1)[skin])) if skin.any() else 0.0
         return surely_another(variance)
 
     def _exposure(self, log_ratio: np.ndarray, change: float) -> float:
         """How much brighter to expose, in log: the lit side of the skin stays as bright as it was, brighter where there
         is room."""
-        luminance, skin = self.scene @ LUMA, self._sure_skin
+        luminance, skin = self.scene @ LUMA, self.sure_skin
         if skin.sum() < FEW:
             return 0.0
         relit = luminance * np.exp(log_ratio.mean(-1))

@@ -282,7 +282,7 @@ def test_several_photos_are_a_batch(made: list[FakeSession], capsys: pytest.Capt
     assert run(*people, "--output", "out", "--azimuth", "-30", "30") == 0
     names = ["a_relit_{}_+0.png", "b_relit_{}_+0.tif", "c_relit_{}_+0.bmp"]
     expected = [name.format(light) for name in names for light in ("+30", "-30")]
-    assert sorted(path.name for path in Path("out").iterdir()) == expected
+    assert sorted(path.name for path in Path("out").iterdir()) == [*expected, "manifest.csv"]
     assert all(len(session.more) == 0 for session in made)
     assert run(*people, "--output", "out.png") == 2
     said = capsys.readouterr().err
@@ -297,9 +297,9 @@ def test_a_folder_is_a_batch(made: list[FakeSession], capsys: pytest.CaptureFixt
     photo("people/two.JPG")
     Path("people/notes.txt").write_text("")
     assert run("people", "--json") == 0
-    report = json.loads(capsys.readouterr().out)
-    assert [one["photo"] for one in report["photos"]] == ["people/one.png", "people/two.JPG"]
-    assert sorted(path.name for path in Path("relit").iterdir()) == ["one_relit.png", "two_relit.JPG"]
+    reports = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [one["photo"] for one in reports] == ["people/one.png", "people/two.JPG"]
+    assert sorted(path.name for path in Path("relit").iterdir()) == ["manifest.csv", "one_relit.png", "two_relit.JPG"]
     Path("empty").mkdir()
     assert run("empty") == 2
     photo("other/one.png")
@@ -314,9 +314,9 @@ def test_one_bad_photo_does_not_end_the_batch(made: list[FakeSession], capsys: p
     assert "bad.png: expected a photo" in said.err
     assert "nowhere.png: expected" in said.err
     assert "2 of 3 photos" in said.err
-    failed = [one["photo"] for one in json.loads(said.out)["photos"] if "error" in one]
+    failed = [one["photo"] for one in map(json.loads, said.out.splitlines()) if "error" in one]
     assert failed == ["bad.png", "nowhere.png"]
-    assert [path.name for path in Path("relit").iterdir()] == ["good_relit.png"]
+    assert sorted(path.name for path in Path("relit").iterdir()) == ["good_relit.png", "manifest.csv"]
     assert run("bad.png", "nowhere.png", "--output", "x") == 2
 
 
@@ -414,4 +414,5 @@ def test_earlier_results_are_no_photos(made: list[FakeSession], tmp_path: Path) 
         "alone_relit_relit.png",
         "b.png",
         "b_relit.png",
+        "manifest.csv",
     ]

@@ -82,7 +82,7 @@ class BustShading:
         x, y = FINE.places()
         known = np.clip((1.15 - np.hypot(x / 1.6, (y + 0.9) / 2.3)) / 0.3, 0, 1)
         self._known = smooth_step(known).astype(np.float32)
-        self._low = cv2.resize(bust.height, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # enough for soft light
+        self.low = cv2.resize(bust.height, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)  # enough for soft light
         self._coarse: dict[int, np.ndarray] = {}
         self._fine: dict[tuple[float, float], np.ndarray] = {}
 
@@ -129,6 +129,6 @@ class BustShading:
             self.marches += 1
             turn = 2 * np.pi * index / AZIMUTHS
             towards = float(np.cos(turn)), float(np.sin(turn))
-            ends = horizon(self._low, BUST.density // 2, towards, 0.08, 1.06, COARSE_BIAS)
+            ends = horizon(self.low, BUST.density // 2, towards, 0.08, 1.06, COARSE_BIAS)
             self._coarse[index] = cv2.resize(ends, BUST.size[::-1], interpolation=cv2.INTER_LINEAR)
         return self._coarse[index]

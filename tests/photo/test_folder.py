@@ -1,0 +1,122 @@
+"""Folders of photos: which are taken, what is written down, how a run is gone on with, and several processes."""
+
+import csv
+import io
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_command import FakeSession, made, photo, run  # noqa: F401 - a fixture
+
+from facerelight.cli import main
+from facerelight.photo.folder.progress import Progress
+
+
+def rows(folder: str = "out") -> list[dict[str, str]]:
+    with Path(folder, "manifest.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_folders_inside_are_relit_into_folders_like_them(made: list[FakeSession]) -> None:  # noqa: F811
+    for name in ("all/a.png", "all/one/b.png", "all/one/two/b.png", "all/.hidden/c.png"):
+        photo(name)
+    assert run("all", "--output", "all/out") == 0
+    assert sorted(str(path) for path in Path("all/out").rglob("*.png")) == [
+        "all/out/a_relit.png",
+        "all/out/one/b_relit.png",
+        "all/out/one/two/b_relit.png",
+    ]
+    assert run("all", "--output", "all/out", "--force") == 0  # results are no photos
+    assert len(list(Path("all/out").rglob("*.png"))) == 3
+
+
+def test_the_manifest_says_what_was_done(made: list[FakeSession]) -> None:  # noqa: F811
+    photo("in/a.png")
+    Path("in/bad.png").write_text("no picture")
+    assert run("in", "--output", "out", "--light", "60,20", "--light", "-40,0,size=20") == 1
+    good, bad = rows()
+    assert (good["status"], good["output"], good["light"]) == (
+        "done", "out/a_relit.png", "60,20,size=5,power=1 + -40,0,size=20,power=1",
+    )  # fmt: skip
+    assert len(json.loads(good["landmarks"])) == 3
+    assert (good["source_azimuth"], good["yaw"], good["error"]) == ("12.0", "30.0", "")
+    assert "the head is turned" in good["warnings"]
+    assert float(good["seconds"]) >= 0
+    assert (bad["status"], bad["photo"]) == ("failed", "in/bad.png")
+    assert "expected a photo" in bad["error"]
+
+
+def test_a_run_is_gone_on_with(made: list[FakeSession], capsys: pytest.CaptureFixture[str]) -> None:  # noqa: F811
+    for name in ("in/a.png", "in/b.png", "in/c.png"):
+        photo(name)
+    assert run("in", "--output", "out") == 0
+    Path("out/b_relit.png").unlink()
+    before = len(made)
+    assert run("in", "--output", "out", "--resume") == 0
+    assert len(made) == before + 1
+    assert "2 of 3 photos were done before" in capsys.readouterr().err
+    later = time.time() + 10
+    os.utime("in/c.png", (later, later))  # a photo that changed
+    assert run("in", "--output", "out", "--resume") == 0
+    assert len(made) == before + 2
+    assert run("in", "--output", "out", "--resume", "--azimuth", "30") == 0  # another light
+    assert len(made) == before + 5
+    assert run("in", "--output", "out") == 2  # nothing is overwritten unasked
+    assert run("in/a.png", "--resume") == 2
+    assert run("in", "--output", "out", "--workers", "0") == 2
+
+
+def test_progress_counts_and_says_what_is_left() -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    progress = Progress(2, stream)
+    progress.step(False)
+    progress.step(True)
+    assert progress.line(4.0) == "2 of 2 photos, 1 failed, 0.5 a second, 0:00 left"
+    assert stream.getvalue().endswith("left\n")
+
+
+def test_several_processes_do_the_same(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    astronaut = pytest.importorskip("skimage.data", reason="scikit-image carries the photo").astronaut()
+    (tmp_path / "in").mkdir()
+    for name, mirrored in (("a.png", False), ("b.png", True)):
+        pixels = astronaut[:256, 96:352]
+        Image.fromarray(np.ascontiguousarray(pixels[:, ::-1] if mirrored else pixels)).save(tmp_path / "in" / name)
+    (tmp_path / "in" / "c.jpg").write_bytes(b"\xff\xd8 no more")
+    options = ["--azimuth", "50", "--statistics", str(folder), "--json"]
+    outcome = {}
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        assert main(["relight", str(tmp_path / "in"), "--output", str(out), "--workers", workers, *options]) == 1
+        said = capsys.readouterr()
+        assert "c.jpg: expected" in said.err
+        assert len(said.out.splitlines()) == 3
+        assert sorted(row["status"] for row in rows(str(out))) == ["done", "done", "failed"]
+        outcome[workers] = [np.asarray(Image.open(out / f"{name}_relit.png")) for name in "ab"]
+    for one, two in zip(*outcome.values(), strict=True):
+        assert np.abs(one.astype(int) - two).max() <= 1
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    made: list[FakeSession],  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def stopped(self: FakeSession, *_: object, **__: object) -> np.ndarray:
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        return self.pixels
+
+    monkeypatch.setattr(FakeSession, "render", stopped)
+    for name in ("in/a.png", "in/b.png", "in/c.png"):
+        photo(name)
+    assert run("in", "--output", "out") == 130
+    assert "--resume goes on" in capsys.readouterr().err
+    assert [row["photo"] for row in rows()] == ["in/a.png"]
