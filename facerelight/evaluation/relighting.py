@@ -18,7 +18,15 @@ from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.luminance import MEASURED_FLOOR, SHADOW
 
-__all__ = ["SOURCES", "Scores", "baseline_images", "evaluate_folds", "held_out_lights", "relighting_errors"]
+__all__ = [
+    "SOURCES",
+    "Scores",
+    "baseline_images",
+    "evaluate_folds",
+    "held_out_lights",
+    "inside_interval",
+    "relighting_errors",
+]
 
 SOURCES = {"front": (0.0, 0.0), "side": (70.0, 0.0)}
 """Azimuth and elevation of the input image's light, by the name of the case."""
@@ -82,7 +90,7 @@ def _score(relit: Tensor, truth: Tensor, subset: Tensor, source: Tensor, frontal
     return Scores(rmse, similarity, subset, shadow, torch.full_like(rmse, torch.nan))
 
 
-def _inside(mean: Tensor, variance: Tensor, truth: Tensor) -> Tensor:
+def inside_interval(mean: Tensor, variance: Tensor, truth: Tensor) -> Tensor:
     """Share of the pixels of ``truth (Q, H, W)`` within the central 95 % interval, ``(Q,)``."""
     return ((truth - mean).square() <= REACH_95**2 * variance).double().mean((1, 2)).to(truth)
 
@@ -197,7 +205,7 @@ def evaluate_folds(
                         if name == covariance:
                             asked = index[::EVERY]
                             sure = posterior.variance(faces.lights[asked])[0]
-                            scored.inside[::EVERY] = _inside(made[::EVERY], sure, images[person, asked])
+                            scored.inside[::EVERY] = inside_interval(made[::EVERY], sure, images[person, asked])
                         scores.setdefault(case, {}).setdefault(name, []).append(scored)
     joined = {
         case: {name: Scores(*map(torch.cat, zip(*parts, strict=True))) for name, parts in by.items()}

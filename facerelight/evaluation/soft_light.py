@@ -16,6 +16,7 @@ from kornia.metrics import ssim
 from torch import Tensor
 
 from facerelight.evaluation.datasets import FaceImages, to_grid
+from facerelight.evaluation.relighting import EVERY, inside_interval
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.posterior import Posterior
 from facerelight.inference.relighter import StatisticalRelighter
@@ -28,8 +29,6 @@ from facerelight.numerics.luminance import QUOTIENT_FLOOR
 __all__ = ["SoftScores", "evaluate_soft_light", "soft_lights"]
 
 LARGEST_QUOTIENT = 4.0
-COVERED = 1.959964  # standard deviations to either side hold 95 %
-EVERY = 8  # of the targets, one in so many is asked for its interval too
 Make = Callable[[Tensor, Tensor, Tensor], FaceStatistics]
 
 
@@ -160,8 +159,7 @@ def _quotient(statistics: FaceStatistics, average: Tensor, amounts: Tensor, phot
 def _covered(posterior: Posterior, targets: Tensor, truth: Tensor) -> Tensor:
     """The share of pixels inside the interval, of every few targets."""
     mean, variance = posterior.render(targets[::EVERY])
-    inside = (truth[::EVERY] - mean[0]).abs() <= COVERED * variance[0].sqrt()
-    return inside.float().mean((1, 2))
+    return inside_interval(mean[0], variance[0], truth[::EVERY])
 
 
 def _gain(relit: Tensor, truth: Tensor) -> Tensor:

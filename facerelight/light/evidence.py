@@ -15,6 +15,7 @@ from facerelight.model.light_terms import direction_terms, loadings_at, summed_t
 from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.buffers import LearnedModule
+from facerelight.numerics.sampling import spread_pixels
 
 __all__ = ["ImageEvidence", "MixtureModel"]
 
@@ -72,10 +73,7 @@ class MixtureModel(LearnedModule):
     def __init__(self, statistics: FaceStatistics, pixels: int) -> None:
         super().__init__()
         self.size: tuple[int, int] = statistics.size
-        height, width = self.size
-        stride = max(1, round((height * width / pixels) ** 0.5))
-        index = torch.arange(height * width, device=statistics.lights.device).view(height, width)
-        places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
+        places = spread_pixels(self.size, pixels).to(statistics.lights.device)
         pixel = statistics.pixel if statistics.face is None else statistics.face.residual
         assert pixel is not None
         directions = statistics.lights

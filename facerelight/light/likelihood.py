@@ -16,7 +16,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics import gaussian
 from facerelight.numerics.checks import check_mask, check_radiance, check_shape, check_valid
 from facerelight.numerics.luminance import BLACK
-from facerelight.numerics.sampling import quasi_normal
+from facerelight.numerics.sampling import quasi_normal, spread_pixels
 
 __all__ = ["LikelihoodIlluminationEstimator"]
 
@@ -61,10 +61,7 @@ class LikelihoodIlluminationEstimator(LightEstimator):
     def __init__(self, statistics: FaceStatistics, count: int = 300, pixels: int = 700) -> None:
         super().__init__()
         self.size: tuple[int, int] = statistics.size
-        height, width = self.size
-        stride = max(1, round((height * width / pixels) ** 0.5))
-        index = torch.arange(height * width, device=statistics.lights.device).view(height, width)
-        places = index[stride // 2 :: stride, stride // 2 :: stride].flatten()
+        places = spread_pixels(self.size, pixels).to(statistics.lights.device)
         grid = _in_rings(_near_lights(even_hemisphere(count).to(statistics.lights), statistics.lights))
         pixel = statistics.pixel if statistics.face is None else statistics.face.residual
         assert pixel is not None

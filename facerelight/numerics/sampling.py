@@ -1,11 +1,11 @@
-"""Standard normal points, spread evenly or drawn independently."""
+"""Standard normal points, spread evenly or drawn independently, and pixels spread over an image."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-__all__ = ["quasi_normal"]
+__all__ = ["quasi_normal", "spread_pixels"]
 
 
 def quasi_normal(
@@ -21,3 +21,10 @@ def quasi_normal(
     seed = int(torch.randint(2**31, (1,), generator=generator)) if generator is not None else 0
     points = torch.quasirandom.SobolEngine(dimensions, scramble=True, seed=seed).draw(count, dtype=torch.float64)
     return torch.special.ndtri(points.clamp(1e-9, 1 - 1e-9)).float()
+
+
+def spread_pixels(size: tuple[int, int], count: int) -> Tensor:
+    """About ``count`` pixels, evenly over images of ``size`` (height, width): their indices, ``(P,)``."""
+    height, width = size
+    stride = max(1, round((height * width / count) ** 0.5))
+    return torch.arange(height * width).view(height, width)[stride // 2 :: stride, stride // 2 :: stride].flatten()
