@@ -271,7 +271,7 @@ def test_odd_meshes_are_read_rightly(tmp_path: Path) -> None:
     """A million faces, no normals in the file, several bodies in one scene."""
     import trimesh
 
-    from facerelight.bootstrap.meshes import MeshFolder
+    from facerelight.bootstrap.heads.meshes import MeshFolder
 
     large = trimesh.creation.icosphere(subdivisions=8)
     assert len(large.faces) > 1_000_000

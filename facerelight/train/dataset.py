@@ -24,7 +24,7 @@ def make_dataset(
     """The people of a config as a torch dataset, under its own lights from the front unless told otherwise."""
     from facerelight.bootstrap.dataset import BootstrapDataset  # OpenGL starts here and not before
     from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads
-    from facerelight.bootstrap.meshes import MeshFolder
+    from facerelight.bootstrap.heads.meshes import MeshFolder
 
     source: HeadSource
     if expression and config.source != "makehuman":
@@ -33,6 +33,8 @@ def make_dataset(
         )
     if config.source == "makehuman":
         source = MakeHumanHeads(config.seed, expression=expression)
+    elif config.source == "ict":
+        source = IctHeads(None, config.seed)
     elif Path(config.source).is_dir():
         source = MeshFolder(config.source)
         if len(source) < config.heads:
@@ -41,7 +43,7 @@ def make_dataset(
         source = IctHeads(config.source, config.seed)
     else:
         raise ValueError(
-            f"source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got {config.source!r}"
+            f"source: expected 'makehuman', 'ict', a folder of meshes or a path to ict_heads.npz, got {config.source!r}"
         )
     seen = config.directions() if lights is None else lights
     return BootstrapDataset(

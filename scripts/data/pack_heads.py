@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.bootstrap.heads.makehuman_files import read_obj, read_target
 from facerelight.evaluation.results import ScriptParser
 
 PARTS = ("head", "forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears")

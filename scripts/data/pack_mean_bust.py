@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.bootstrap.heads.makehuman_files import read_obj, read_target
 from facerelight.evaluation.results import ScriptParser
 from facerelight.photo.bust.frame import Grid
 from facerelight.photo.bust.mesh import draw_mesh

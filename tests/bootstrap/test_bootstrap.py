@@ -12,7 +12,7 @@ from facerelight.bootstrap.dataset import BootstrapDataset, open_renderer
 from facerelight.bootstrap.domain import Domain, Material
 from facerelight.bootstrap.effects import EFFECTS, Scene, highlight, highlight_reach
 from facerelight.bootstrap.heads import Head, MakeHumanHeads
-from facerelight.bootstrap.meshes import MeshFolder
+from facerelight.bootstrap.heads.meshes import MeshFolder
 from facerelight.bootstrap.posture import PIVOT, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.shading import plan_effects, shade

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facerelight.bootstrap.makehuman import read_obj, read_target
+from facerelight.bootstrap.heads.makehuman_files import read_obj, read_target
 
 OBJ = """# a square and a triangle
 v 0 0 0

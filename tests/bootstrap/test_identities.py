@@ -1,12 +1,14 @@
 """Heads of the format of ICT-FaceKit, made up here: a ball with eyes, a mouth, teeth and two modes."""
 
+import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from facerelight.bootstrap.heads import IctHeads
+from facerelight.bootstrap.heads.identities import IctHeads, read_identities, read_packed
 
 MODE = np.array((0.0, 0.0, 0.5))  # one of the modes lifts the crown by that
 
@@ -63,6 +65,37 @@ def test_only_face_and_eyes_are_kept(packed: Path) -> None:
     head = source.head(0)
     assert np.array_equal(head.triangles, triangles[parts != 1])  # no teeth
     assert set(head.is_eye.nonzero()[0]) == set(triangles[parts == 2].ravel())
+
+
+def test_packed_modes_are_those_packed(packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within half a step of a thousandth of the distance between the eyes; the first 60, and no teeth."""
+    out = tmp_path / "identities.npz"
+    monkeypatch.setattr(sys, "argv", ["pack_identities.py", str(packed), str(out)])
+    runpy.run_path(str(Path(__file__).parents[2] / "scripts/data/pack_identities.py"), run_name="__main__")
+    before, after = read_identities(packed), read_packed(out)
+    used = np.unique(before.triangles)
+    eyes = before.vertices[before.marks[[36, 42]]]
+    step = np.linalg.norm(eyes[0] - eyes[1]) / 1000
+    assert after.modes.shape == (60, len(used), 3)
+    assert np.abs(after.modes - before.modes[:60, used]).max() <= 0.51 * step
+    assert np.array_equal(after.vertices[after.triangles], before.vertices[before.triangles].astype(np.float32))
+    assert np.array_equal(after.is_eye, before.is_eye[used])
+    assert np.allclose(after.vertices[after.marks], before.vertices[before.marks])
+
+
+def test_the_packages_identities_are_heads() -> None:
+    """Eyes and mouth where the crop expects them, closed surfaces that face outwards, everybody different."""
+    source = IctHeads()
+    heads = [source.head(index) for index in range(12)]
+    for head in heads:
+        assert np.isfinite(head.vertices).all()
+        assert np.abs(head.landmarks[2] - (0, -1.05, 0.3)).max() < 0.35
+        nose = head.vertices[:, 2].argmax()
+        assert abs(head.vertices[nose, 0]) < 0.2
+        assert -1.1 < head.vertices[nose, 1] < -0.2
+        assert head.normals()[nose, 2] > 0.7
+    apart = np.stack([head.vertices for head in heads]).std(0)
+    assert 0.01 < apart.mean() < 0.2
 
 
 def test_another_file_is_named(tmp_path: Path) -> None:

@@ -1,56 +1,15 @@
-"""Heads to learn from: seeded random people of the packed CC0 model, or scanned identities of ICT-FaceKit.
-
-Every head comes in the same units: y up, +z to the viewer, the origin midway between the eye centres and the eyes one
-unit apart.
-"""
+"""Seeded random people of the packed CC0 model."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-try:
-    import trimesh
-except ModuleNotFoundError as error:
-    raise RuntimeError('heads need trimesh, which is not installed; pip install "facerelight[train]"') from error
+from facerelight.bootstrap.heads.head import Head, normalise
 
-__all__ = ["Head", "HeadSource", "IctHeads", "MakeHumanHeads"]
-
-
-class Head(NamedTuple):
-    """A head mesh.
-
-    ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint
-    follows it); ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth
-    centre.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    reference: np.ndarray
-    is_eye: np.ndarray
-    landmarks: np.ndarray
-
-    def normals(self) -> np.ndarray:
-        """Smooth vertex normals ``(V, 3)``."""
-        return np.array(trimesh.Trimesh(self.vertices, self.triangles, process=False).vertex_normals, np.float32)
-
-
-class HeadSource(Protocol):
-    """Something that gives head number ``index``, the same one every time."""
-
-    def head(self, index: int) -> Head: ...
-
-
-def _normalise(vertices: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """To the units of this module, without turning: eyes one unit apart, origin midway."""
-    origin = landmarks[:2].mean(0)
-    scale = np.linalg.norm(landmarks[1] - landmarks[0])
-    return (vertices - origin) / scale, (landmarks - origin) / scale
+__all__ = ["MakeHumanHeads"]
 
 
 class MakeHumanHeads:
@@ -93,7 +52,7 @@ class MakeHumanHeads:
     def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         data = self._data  # MakeHuman's left is the viewer's right
         points = np.stack([vertices[data[name]].mean(0) for name in ("eye_right", "eye_left", "mouth")])
-        return _normalise(vertices, points)
+        return normalise(vertices, points)
 
     def _recipe(self, rng: np.random.Generator) -> dict[str, float]:
         """Random weights of the morph targets."""
@@ -123,51 +82,16 @@ class MakeHumanHeads:
         shapes = [name for name in self._data if name.startswith("shape/")]
         for name, share in zip(shapes, rng.dirichlet((0.3,) * len(shapes)) * rng.uniform(0, 0.8), strict=True):
             recipe[name] = float(share)
-        recipe |= {f"expression/{name}": weight for name, weight in self.expression.items()}
+        recipe |= {f"expression/{name}": weight for name, weight in (_at_ease(rng) | self.expression).items()}
         return recipe
 
 
-class IctHeads:
-    """Random identities of ICT-FaceKit (MIT): the mean of scanned heads plus Gaussian weights on 100 identity modes.
-
-    Args:
-        path: ``ict_heads.npz``.
-        seed: another seed gives other people.
-        spread: factor on the modes' standard deviations.
-    """
-
-    def __init__(self, path: str | Path, seed: int = 0, spread: float = 0.8) -> None:
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                self._data = {
-                    k: data[k]
-                    for k in ("vertices", "identity_basis", "triangles", "landmarks68", "triangle_part", "part_names")
-                }
-        except (OSError, ValueError, KeyError) as error:
-            raise ValueError(f"{path}: expected ict_heads.npz; got {error}") from error
-        self.seed, self.spread = seed, spread
-        parts = [str(name) for name in self._data["part_names"]]
-        kept = [
-            i for i, name in enumerate(parts) if any(word in name.lower() for word in ("face", "head", "eye"))
-        ] or range(len(parts))
-        inside = np.isin(self._data["triangle_part"], list(kept))
-        self._triangles = self._data["triangles"][inside]
-        eyes = [i for i, name in enumerate(parts) if "eye" in name.lower()]
-        self._is_eye = np.zeros(len(self._data["vertices"]), np.float32)
-        self._is_eye[np.unique(self._data["triangles"][np.isin(self._data["triangle_part"], eyes)])] = 1
-        self._reference = self._place(self._data["vertices"])[0]
-
-    def head(self, index: int) -> Head:
-        """Identity ``index``."""
-        rng = np.random.default_rng((self.seed, index))
-        modes = self._data["identity_basis"].astype(np.float64)
-        vertices = self._data["vertices"] + np.tensordot(rng.normal(0, self.spread, len(modes)), modes, 1)
-        placed, landmarks = self._place(vertices)
-        return Head(placed, self._triangles, self._reference, self._is_eye, landmarks)
-
-    def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        mark = vertices[self._data["landmarks68"]]  # iBUG order: 36-41 and 42-47 the eyes, 48-67 the mouth
-        return _normalise(vertices, np.stack((mark[36:42].mean(0), mark[42:48].mean(0), mark[60:68].mean(0))))
+def _at_ease(rng: np.random.Generator) -> dict[str, float]:
+    """The face of somebody who is photographed: lids that are not wide open, a smile or none, brows a little drawn."""
+    lids, squint = rng.uniform(0.05, 0.35), rng.uniform(0, 0.3)
+    smile, frown = max(0.0, rng.normal(0, 0.25)), max(0.0, rng.normal(0, 0.15))
+    both = {"eyeBlink": lids, "eyeSquint": squint, "mouthSmile": smile, "cheekSquint": 0.5 * smile, "browDown": frown}
+    return {f"{name}{side}": float(weight) for name, weight in both.items() for side in ("Left", "Right")}
 
 
 def _tent(x: float) -> tuple[float, float, float]:

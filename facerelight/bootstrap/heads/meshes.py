@@ -1,4 +1,4 @@
-"""Heads of the user's own: meshes with marked points, brought to the units of :mod:`heads`."""
+"""Heads of the user's own: meshes with marked points, brought to the units of :mod:`head`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from facerelight.bootstrap.heads import Head
+from facerelight.bootstrap.heads.head import Head
 
 __all__ = ["MeshFolder", "apply_similarity", "fit_similarity_3d"]
 
