@@ -37,6 +37,8 @@ PACKAGED = Path(__file__).parent / "data" / "standard"
 
 
 FIRST_RELEASE = "0.1"
+WORLD = 2  # of the rendered people: raised whenever a config would render others
+SOURCES = ("ict", "makehuman")  # of heads that come with the package
 MESH_FILES = (".obj", ".ply", ".glb", ".txt")  # meshes and their marked points
 
 
@@ -46,7 +48,8 @@ class TrainConfig:
 
     Args:
         heads: how many people to render.
-        source: "makehuman" (packed with the package), a folder of meshes, or the path of ``ict_heads.npz``.
+        source: "ict" (scanned identities) or "makehuman" (people of morph targets), both of the package; a folder of
+            meshes; or the path of ``ict_heads.npz``.
         lights: how many, spread evenly over the hemisphere; "paper" (the thesis's 10 x 10 angles and the frontal
             light); or a list of (azimuth, elevation) in degrees, such as the lights of a certain rig.
         height, width, margin: the crop; margin is a fraction of the canonical crop added on every side.
@@ -86,7 +89,9 @@ class TrainConfig:
         if self.effects not in ("auto", "all"):
             raise ValueError(f"effects: expected 'auto' or 'all', got {self.effects!r}")
         if not self.source:
-            raise ValueError("source: expected 'makehuman', a folder of meshes or a path to ict_heads.npz, got nothing")
+            raise ValueError(
+                "source: expected 'ict', 'makehuman', a folder of meshes or a path to ict_heads.npz, got nothing"
+            )
         if not isinstance(self.domain, Domain) or not isinstance(self.fit, FitOptions):
             raise ValueError("domain, fit: expected mappings of options")
 
@@ -109,7 +114,7 @@ class TrainConfig:
         package's minor version (patches change no picture; that of the first release goes without saying)."""
         fields: dict[str, object] = asdict(self)
         place = Path(self.source)
-        if self.source != "makehuman":
+        if self.source not in SOURCES:
             files = sorted(p for p in place.glob("*") if p.suffix.lower() in MESH_FILES) if place.is_dir() else [place]
             sizes = [(p.name, p.stat().st_size, p.stat().st_mtime_ns) for p in files if p.is_file()]
             fields |= {"source": str(place.resolve()), "meshes": sizes}
@@ -118,7 +123,7 @@ class TrainConfig:
 
     def key(self) -> str:
         """A short name that changes whenever the statistics would."""
-        text = json.dumps([FORMAT_VERSION, self.identity()], sort_keys=True)
+        text = json.dumps([FORMAT_VERSION, WORLD, self.identity()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
