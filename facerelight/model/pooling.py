@@ -28,6 +28,7 @@ def pooled_statistics(statistics: FaceStatistics, block: int) -> FaceStatistics:
         ValueError: a block that does not divide the size.
 
     Example:
+        >>> import torch
         >>> fine = FaceStatistics.fit(torch.rand(5, 3, 16, 8), torch.eye(3), rank=2, face_rank=2)
         >>> pooled_statistics(fine, 2).size
         (8, 4)
