@@ -146,7 +146,7 @@ class StatisticalRelighter(nn.Module):
                 for index, person in enumerate(images)
             ]
 
-        if not register and _single(hypotheses):
+        if not register and not images.requires_grad and _single(hypotheses):
             lights = unit_lights(hypotheses.directions[:, 0, 0, 0])
             return PeoplePosterior(
                 self.statistics, self.covariance, images[:, 0], lights, noise[:, 0], mask, one_by_one, given.dtype
