@@ -9,35 +9,11 @@ import statistics
 import torch
 
 from facerelight.augment.quick import QuickRelighter
-from facerelight.config import TrainConfig
 from facerelight.evaluation.augmentation.gain import AUGMENTATIONS, OURS, TASKS, accuracies, augmentation
-from facerelight.evaluation.datasets import FaceImages, load_yale
+from facerelight.evaluation.augmentation.people import rendered_people
+from facerelight.evaluation.datasets import load_yale
 from facerelight.evaluation.results import ScriptParser, markdown
-from facerelight.geometry.lights import angle_pairs, angular_distance
 from facerelight.photo.face_model import load_relighter
-from facerelight.train.dataset import make_dataset
-
-PAINT = 11  # seed of the rendered people, whom the packaged statistics have not seen
-EDGES = (12.5, 25.5, 51.5, 77.5)  # degrees from the camera between Yale B's subsets
-
-
-def rendered_people(like: FaceImages, people: int, height: int, width: int) -> FaceImages:
-    """``people`` rendered under Yale B's lights from the front, with the same subsets."""
-    lights = like.lights[like.lights[:, 2] > 0.05]
-    config = TrainConfig(people, lights=angle_pairs(lights), height=height, width=width, margin=0.0, seed=PAINT)
-    images = make_dataset(config).images().clamp(0, 1)
-    apart = angular_distance(lights, torch.tensor([[0.0, 0.0, 1.0]]).expand_as(lights))
-    subset = 1 + torch.bucketize(apart, torch.tensor(EDGES))
-    count = len(lights)
-    return FaceImages(
-        images.flatten(0, 1),
-        torch.arange(people).repeat_interleave(count),
-        torch.arange(count).repeat(people),
-        lights,
-        torch.tensor(angle_pairs(lights)),
-        subset.repeat(people),
-        [str(person) for person in range(people)],
-    )
 
 
 def main() -> None:
