@@ -67,11 +67,14 @@ def run_augment(arguments: Namespace, statistics_folder: Callable[[str | None, s
     named = arguments.frame in ("found", "arcface112", "yale")
     frame = arguments.frame if named else tuple(parse_landmarks(arguments.frame))
 
-    from facerelight.augment.folder import counts, write_training_set
+    from facerelight.augment.folder import counts, plan_training_set, write_training_set
+    from facerelight.augment.lamps import LampGenerator
     from facerelight.augment.quick import QuickRelighter
     from facerelight.augment.random_face_relight import RandomFaceRelight
     from facerelight.inference.relighter import StatisticalRelighter
 
+    plan_training_set(folder, output, arguments.copies, arguments.force)
+    LampGenerator(*(tuple(getattr(arguments, name)) for name in RANGES))  # says what is wrong with them
     statistics = statistics_folder(arguments.statistics, arguments.quality)
     relight = RandomFaceRelight(
         "arcface112" if frame == "found" else frame,

@@ -62,7 +62,8 @@ class ExactRelighter(CropRelighter):
         explained = gains[:, None] * self._explained(own.share, posterior.code())
         explained = explained.clamp_min(0).unflatten(1, self.full_size)
         bright = strength[..., None, None]
-        return Radiances(torch.stack(maps, 1) * bright, explained * bright[:, 0], own.known)
+        found = Radiances(torch.stack(maps, 1) * bright, explained * bright[:, 0], own.known)
+        return Radiances(*(part.to(luminance.device) for part in found))
 
     def _explained(self, share: Tensor, code: Tensor) -> Tensor:
         """What average face and code ``(B, k)`` make of lights that are ``share (B, J)`` of the bootstrap's,

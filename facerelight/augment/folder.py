@@ -17,7 +17,7 @@ from facerelight.photo.files.disk import SUFFIXES, read_photo, write_photo
 from facerelight.photo.files.photograph import PhotoFile
 from facerelight.photo.files.profiles import eight_bits
 
-__all__ = ["MANIFEST", "Copy", "counts", "relit_copies", "training_pictures", "write_training_set"]
+__all__ = ["MANIFEST", "Copy", "counts", "plan_training_set", "relit_copies", "training_pictures", "write_training_set"]
 
 MANIFEST = "manifest.csv"
 LAMP = ("azimuth", "elevation", "size", "fill", "mix")
@@ -48,6 +48,26 @@ def training_pictures(folder: Path) -> list[Path]:
     return found
 
 
+def plan_training_set(folder: Path, output: Path, copies: int, force: bool) -> list[tuple[Path, Path]]:
+    """Pictures of ``folder``, and where they go under ``output``.
+
+    Raises:
+        ValueError: no pictures, an output inside the folder or one that holds some of them already, or a picture named
+            like a copy of another one.
+    """
+    pictures = training_pictures(folder)
+    if output.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"output: expected a place outside {folder}, got {output}")
+    places = [output / path.relative_to(folder) for path in pictures]
+    made_twice = {copy for place in places for copy in _copies(place, copies)} & set(places)
+    if made_twice:
+        raise ValueError(f"{min(made_twice)}: is a picture and a copy of another one; rename it in {folder}")
+    taken = [place for place in places if place.exists()]
+    if taken and not force:
+        raise ValueError(f"{taken[0]}: exists already; --force overwrites it, --output says another place")
+    return list(zip(pictures, places, strict=True))
+
+
 def write_training_set(
     folder: Path, output: Path, copies: int, relight: RandomFaceRelight, find_faces: bool, seed: int, force: bool
 ) -> Iterator[Copy]:
@@ -67,23 +87,14 @@ def write_training_set(
         force: overwrite pictures that exist.
 
     Raises:
-        ValueError: no pictures, an output inside the folder or one that holds some of them already.
+        ValueError: see :func:`plan_training_set`.
     """
-    pictures = training_pictures(folder)
-    if output.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"output: expected a place outside {folder}, got {output}")
-    places = [output / path.relative_to(folder) for path in pictures]
-    made_twice = {copy for place in places for copy in _copies(place, copies)} & set(places)
-    if made_twice:
-        raise ValueError(f"{min(made_twice)}: is a picture and a copy of another one; rename it in {folder}")
-    taken = [place for place in places if place.exists()]
-    if taken and not force:
-        raise ValueError(f"{taken[0]}: exists already; --force overwrites it, --output says another place")
+    plan = plan_training_set(folder, output, copies, force)
     output.mkdir(parents=True, exist_ok=True)
     with (output / MANIFEST).open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
         table.writeheader()
-        for number, (path, place) in enumerate(zip(pictures, places, strict=True)):
+        for number, (path, place) in enumerate(plan):
             place.parent.mkdir(parents=True, exist_ok=True)
             for made in _made(path, place, copies, relight, find_faces, (seed, number)):
                 table.writerow(_row(made, folder, output))

@@ -158,7 +158,7 @@ class QuickRelighter(CropRelighter):
         return torch.linalg.solve(precision, trusted @ left[:, self.places, None])[..., 0]
 
     def _pooled(self, images: Tensor) -> Tensor:
-        return torch.nn.functional.avg_pool2d(images, self.block).flatten(1)
+        return torch.nn.functional.avg_pool2d(images[:, None], self.block).flatten(1)
 
     def _gain(self, images: Tensor, expected: Tensor, mask: Tensor, cell: Tensor) -> Tensor:
         """How bright each person is beside the average face, ``(B,)``; see :mod:`facerelight.model.brightness`."""

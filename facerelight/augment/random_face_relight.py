@@ -119,6 +119,8 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         seen = scene_luminance(raised) if coded else linear_luminance(raised)
         shift, known = self._log_ratios(seen, marks, params, flags["source"])
         known = known & finite
+        if self.p < 1:  # at 1 kornia does not ask it
+            known = known & (params["batch_prob"].to(known.device) > 0.5)
         mix = params["mix"].to(seen)[:, None, None, None]
         ratio = (1 - mix) * shift.exp() + mix
         relit = to_display(raised, ratio) if coded else (raised * ratio).clamp(0, 1)
@@ -141,7 +143,7 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
     ) -> tuple[Tensor, Tensor]:
         """Log ratios ``(B, 1, H, W)`` on the crops of luminance ``seen (B, 1, H, W)``, and which are known to be faces,
         ``(B,)``."""
-        relighter = self.relighter
+        relighter = self.relighter.to(seen.device)
         full, frame = relighter.frame, relighter.map_frame
         warp = FaceWarp(marks, (seen.shape[2], seen.shape[3]), full)
         on_model = warp.to_model(seen)[:, 0]  # (B, h, w)
@@ -149,6 +151,8 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         count = len(seen)
         lamp = lamp_points(*(params[name].to(seen.device) for name in ("azimuth", "elevation", "size")))
         faces = relighter(on_model, shown, [camera_lamps(count), lamp, fill_lamps(count)], source)
-        coarse, where = (torch.nn.functional.avg_pool2d(part, relighter.block) for part in (on_model, shown))
+        coarse, where = (
+            torch.nn.functional.avg_pool2d(part[:, None], relighter.block)[:, 0] for part in (on_model, shown)
+        )
         shift = log_ratio(faces, coarse, where, params["fill"].to(seen), params["size"].to(seen), frame)
         return warp.to_crop(shift[:, None]), faces.known

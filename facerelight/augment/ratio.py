@@ -20,6 +20,7 @@ MOUTH = (0.5, 0.28)  # half axes of an ellipse in eye distances: what is brighte
 ODD = (0.2, 0.6)  # in log, than what the whole face says of them; teeth are dimmed as the skin around them
 AROUND, HEARSAY = 0.12, 0.02  # eye distances over which, and weight with which, the odd is asked
 LEAK = 0.25  # what the mean over people leaves of a lamp where most people are in shadow
+LEAST = 0.01  # radiance
 SOFT = 20.0  # degrees: a lamp as large as this has no edges
 
 
@@ -47,7 +48,7 @@ def log_ratio(
     at_camera = ((camera * shown).sum((1, 2)) / total)[:, None, None]
     exposure = mean / at_camera.clamp_min(1e-6)  # a lamp at the camera keeps the face's brightness
     edged = ((SOFT - size) / 10).clamp(0, 1)[:, None, None]
-    share = lamp / gaussian_blur(camera, 0.15 * _unit(frame)).clamp_min(1e-3)
+    share = (lamp + LEAST) / (camera + LEAST)
     lamp = lamp * (share * (1 + LEAK) / (share + LEAK)).clamp_min(1e-6).pow(edged)
     fill = fill[:, None, None]
     new = ((1 - fill) * lamp + fill * everywhere) * exposure
