@@ -113,6 +113,10 @@ class PeoplePosterior(Posterior):
             self._people = self._one_by_one()
         return self._people
 
+    def separately(self) -> Posterior:
+        """The same, all of it person by person."""
+        return Posterior(self._one_by_one(), self.size, None, self.dtype)
+
     def code(self) -> Tensor:
         """See :meth:`Posterior.code`."""
         codes = [part.code for part in self._parts]

@@ -15,7 +15,7 @@ from facerelight.evaluation.augmentation.people import rendered_people
 from facerelight.evaluation.datasets import FaceImages, load_yale
 from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import even_hemisphere
-from facerelight.inference.posterior import Posterior
+from facerelight.inference.people import PeoplePosterior
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo.face_model import load_relighter
 
@@ -39,9 +39,10 @@ def core_rows(relighter: StatisticalRelighter, people: int, rounds: int) -> list
     images = statistics.mean_images().mean(0) + 0.05 * torch.rand(people, 1, *statistics.size, generator=generator)
     targets = lights.roll(1, 0)[:, None]
     together = relighter.condition(images, lights[:, None])
+    assert isinstance(together, PeoplePosterior)
 
     def loop() -> torch.Tensor:
-        return Posterior(together._one_by_one(), statistics.size).mean(targets)  # type: ignore[attr-defined]
+        return together.separately().mean(targets)
 
     calls = {"a loop": loop, "at once": lambda: relighter.condition(images, lights[:, None]).mean(targets)}
     seconds = batch_seconds(calls, rounds)

@@ -22,7 +22,7 @@ def both(relighter: StatisticalRelighter, images, lights, **options) -> tuple[Po
     """The posterior at once, and the same one by one."""
     together = relighter.condition(images, lights, **options)
     assert isinstance(together, PeoplePosterior)
-    return together, Posterior(together._one_by_one(), together.size, None, images.dtype)
+    return together, together.separately()
 
 
 def towards(count: int, seed: int) -> torch.Tensor:
