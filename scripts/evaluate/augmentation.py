@@ -49,12 +49,14 @@ def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
     parser.add_size(64, 56)
-    parser.add_argument("--people", type=int, default=40, help="rendered ones")
+    parser.add_argument("--people", type=int, default=28, help="rendered ones")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=120, help="of training")
     parser.add_argument("--copies", type=int, default=10, help="that are made of every picture")
     parser.add_argument("--faces", nargs="+", default=["yale", "rendered"], choices=("yale", "rendered"))
     parser.add_argument("--tasks", nargs="+", default=list(TASKS), choices=TASKS)
+    every = [*AUGMENTATIONS, OURS]
+    parser.add_argument("--augmentations", nargs="+", default=every, choices=every)
     parser.add_argument("--runs", type=Path, default=None, help="file of runs that are done, and not done again")
     parser.add_argument("--at-most", type=int, default=None, help="runs; the rest is left for another call")
     parser.add_results("csv")
@@ -65,7 +67,7 @@ def main() -> None:
     runs, left = Runs(args.runs), args.at_most
     relighter: QuickRelighter | None = None
     rows: list[dict[str, object]] = []
-    for kind, task, name in product(args.faces, args.tasks, (*AUGMENTATIONS, OURS)):
+    for kind, task, name in product(args.faces, args.tasks, args.augmentations):
         keys = {seed: json.dumps([kind, task, name, seed, args.steps, args.copies]) for seed in range(args.seeds)}
         for seed, key in keys.items():
             if key in runs.done or left == 0:
