@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from statistics import median
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,24 +17,28 @@ __all__ = ["batch_seconds", "relit_apart"]
 
 
 @torch.no_grad()
-def relit_apart(crops: Tensor, fast: CropRelighter, exact: CropRelighter, seed: int = 0) -> Tensor:
-    """Root mean square difference of relit crops, ``(B',)`` in grey levels, of those that both take for lit faces.
+def relit_apart(
+    crops: Tensor, fast: Mapping[str, CropRelighter], exact: CropRelighter, seed: int = 0
+) -> dict[str, Tensor]:
+    """How far crops relit by each of ``fast`` are from those of ``exact``: root mean square differences ``(B',)`` in
+    grey levels, of those that both take for lit faces.
 
     Args:
-        crops: ``(B, 1, H, W)`` linear radiance in Yale B's frame; each is relit by a random lamp alone.
+        crops: ``(B, 1, H, W)`` linear radiance in Yale B's frame; each is relit by a random lamp and a fill.
         fast, exact: what relights them.
         seed: of the lamps.
     """
     torch.manual_seed(seed)
-    made = []
-    params: dict[str, Tensor] | None = None
-    known = torch.ones(len(crops), dtype=torch.bool)
-    for relighter in (exact, fast):
-        relight = RandomFaceRelight("yale", mix=(0.0, 0.0), encoding="linear", relighter=relighter, p=1.0)
-        made.append(relight(crops, params=params))
-        params = relight._params
-        known = known & params["relit"]
-    return 255 * (made[0] - made[1])[known].square().mean((1, 2, 3)).sqrt()
+    options: dict[str, Any] = {"mix": (0.0, 0.0), "encoding": "linear", "p": 1.0}
+    relight = RandomFaceRelight("yale", relighter=exact, **options)
+    truth, params = relight(crops), relight._params
+    known = params["relit"]
+    apart = {}
+    for name, relighter in fast.items():
+        made = RandomFaceRelight("yale", relighter=relighter, **options)(crops, params=params)
+        both = known & params["relit"]
+        apart[name] = 255 * (made - truth)[both].square().mean((1, 2, 3)).sqrt()
+    return apart
 
 
 def batch_seconds(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
