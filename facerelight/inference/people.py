@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.inference.person import PersonPosterior
+from facerelight.inference.person import NEAR, PersonPosterior
 from facerelight.inference.posterior import Lights, Posterior, check_targets
 from facerelight.model.brightness import read_gain, reading_errors, reading_weight
 from facerelight.model.covariance import MEASUREMENT
@@ -25,7 +25,6 @@ __all__ = ["PeoplePosterior"]
 
 PEOPLE_AT_ONCE = 12  # their loadings are 28 MB, little enough for memory to be used again
 FEW_TARGETS = 8  # lights of one's own; more are cheaper from a person's maps
-NEAR = 1e-3  # kernel values below this move a pixel by less than a tenth of a grey level
 
 
 class _Explained(NamedTuple):

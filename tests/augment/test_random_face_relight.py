@@ -207,6 +207,16 @@ def test_landmarks_say_where_a_face_is(faces, quick):
     assert (shifted - relit)[inside].abs().mean() < 0.004
 
 
+@pytest.mark.parametrize("side", [56, 448])
+def test_a_size_is_as_good_as_another(faces, quick, side):
+    augment = RandomFaceRelight(relighter=quick, p=1.0)
+    relit, drawn = augment(faces), augment._params
+    other = augment(torch.nn.functional.interpolate(faces, (side, side), mode="area"), params=drawn)
+    least = min(side, 112)
+    small = [torch.nn.functional.interpolate(images, (least, least), mode="area") for images in (relit, other)]
+    assert (small[0] - small[1]).abs().mean() < 0.01
+
+
 def test_grey_is_colour_without_colour(crops, quick):
     grey = crops(0, 0) ** (1 / 2.2)
     augment = RandomFaceRelight(relighter=quick, p=1.0)

@@ -1,7 +1,7 @@
 """What RandomFaceRelight is worth beside kornia's augmentations: a small network trained under few lights, tested under
 the others.
 
-python scripts/evaluate/augmentation.py --data yaleb_192x168.npz --csv
+python scripts/evaluate/augmentation_gain.py --data yaleb_192x168.npz --csv
 """
 
 import json
