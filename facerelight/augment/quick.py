@@ -84,7 +84,7 @@ class QuickRelighter(CropRelighter):
         self.gain_spread = float(statistics.gain_spread)
         self.noise = math.hypot(relighter.noise, MISFIT) / 255
         places = _told_from(self.map_frame)
-        self.temper = float(face.temper) * len(places) / face.n[0, 0].numel()
+        self.temper = float(face.temper) * len(places) / int((self.map_frame.oval() < REACH).sum())
         towards = even_hemisphere(cells).to(statistics.lights)
         every = light_terms(statistics, face.residual, statistics.lights, face)
         root = face.residual.n_factor.flatten(2)  # (3, 3, P)

@@ -37,7 +37,7 @@ def log_ratio(
     Args:
         faces: under the crops' own light, a lamp at the camera, the lamp, and the fill, each of power 1.
         luminance: ``(B, h, w)`` of the crops.
-        shown: ``(B or 1, h, w)``, where they show the face.
+        shown: ``(B or 1, h, w)``, where they show the face, see :func:`face_mask`.
         fill: ``(B,)``, the fill's share.
         size: ``(B,)``, the lamp's angular radius in degrees.
         frame: the maps' crop.
@@ -54,7 +54,7 @@ def log_ratio(
     new = ((1 - fill) * lamp + fill * everywhere) * exposure
     dark = RATIO_FLOOR * mean.clamp_min(1e-3)
     inner = torch.log((new + dark) / (own + dark))
-    weight = face_mask(frame).to(inner) * shown
+    weight = shown
     odd = torch.log((luminance + dark) / (faces.explained + dark))
     trust = 1 - ((odd - ODD[0]) / (ODD[1] - ODD[0])).clamp(0, 1) * _mouth(frame).to(inner)
     sure = (trust + HEARSAY) * weight
