@@ -85,6 +85,18 @@ class LightRatio:
         face, bust = self._maps(light)
         return np.stack([self._joined(face[..., c], bust[..., c]) for c in range(face.shape[-1])], -1)
 
+    def flat(self, reflectance: np.ndarray) -> np.ndarray:
+        """``(H, W)`` log ratio of light that shades nothing over the photograph's own: 0 on average over the face.
+
+        Args:
+            reflectance: ``(h, w)`` of the face, on the model's crop, in any unit.
+        """
+        face = crop_onto(reflectance.astype(np.float32), self.crop, FINE)
+        weight = self.weight * self.trust + 1e-6
+        seen, bare, white = (float((weight * part).sum()) for part in (self.source_face, face, self.source_bust))
+        even = np.full_like(self.source_bust, white / float(weight.sum()))
+        return self._joined(face * (seen / max(bare, 1e-6)), even)
+
     def _joined(self, face: np.ndarray, bust: np.ndarray) -> np.ndarray:
         """One channel's log ratio, ``(H, W)``, from the radiance of the face and the irradiance of the bust."""
         inner = np.log((face + self.dark) / (self.source_face + self.dark))

@@ -1,0 +1,253 @@
+"""A photograph as layers of its own size: what lies in the person and what in the light.
+
+In linear sRGB, pixel by pixel, ``reflectance * shading + highlights`` is the photograph wherever the person covers it.
+On the face, shading is the model's at scales coarser than a cheek, and finer that of the mean bust fitted to the head;
+beyond the face it is the bust's. What is finer still, and what neither explains, goes into the reflectance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from facerelight.numerics.luminance import BLACK
+from facerelight.photo.bust.frame import FINE, Window, crop_onto
+from facerelight.photo.bust.mesh import unit_vectors
+from facerelight.photo.bust.shading import BustShading
+from facerelight.photo.colour import TOE, developed, part_highlight, to_scene
+from facerelight.photo.compose import STRIP, of_person, rows_of
+from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel
+from facerelight.photo.files.pixels import scale_of
+from facerelight.photo.layers.face import FaceParts, take_apart
+from facerelight.photo.layers.own_light import OwnLight, light_colours
+from facerelight.photo.person import Person
+from facerelight.photo.ratio import FaceEvidence, LightRatio
+
+__all__ = ["Decomposition", "decompose_person"]
+
+OWN_SHAPE = 0.5  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
+SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
+STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
+
+
+class LayerMaps(NamedTuple):
+    """What layers are made of, on the window's copy: ``cover``, ``face``, ``skin (h, w)`` in 0..1; ``ground`` and the
+    skin's own colour ``diffuse (h, w, 3)``; ``log_shading (h, w, C)`` of scene radiance; ``normal (h, w, 3)``;
+    ``normal_std`` in degrees and ``reflectance_std``, a share, ``(h, w)``."""
+
+    cover: np.ndarray
+    face: np.ndarray
+    skin: np.ndarray
+    ground: np.ndarray
+    diffuse: np.ndarray
+    log_shading: np.ndarray
+    normal: np.ndarray
+    normal_std: np.ndarray
+    reflectance_std: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposition:
+    """The layers of one photograph of ``H`` x ``W`` pixels; each is made when it is asked for, and not kept.
+
+    Colours are linear sRGB in radiance of the photograph: decode it, and ``reflectance * shading + highlights`` is it
+    wherever :attr:`matte` is 1. Reflectance has no scale of its own: it is as bright as the photograph, shading being 1
+    on average over the face (in its logarithm, scene radiance); and no colour of its own: the light as a whole is taken
+    for white.
+
+    ``light`` is the photograph's own light. ``size``: (H, W).
+
+    Example:
+        >>> from skimage.data import astronaut  # doctest: +SKIP
+        >>> parts = PhotoRelighter(astronaut()).decompose()  # doctest: +SKIP
+        >>> parts.normals.shape, parts.light.direction_std < 30  # doctest: +SKIP
+        ((512, 512, 3), True)
+    """
+
+    light: OwnLight
+    pixels: np.ndarray
+    window: Window
+    maps: LayerMaps
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the photograph in pixels."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def matte(self) -> np.ndarray:
+        """Cover of the person, ``(H, W)`` float32 in 0..1."""
+        return self._whole(lambda rows: self._rows(self.maps.cover, rows))
+
+    @property
+    def face(self) -> np.ndarray:
+        """Where the model speaks and standard deviations hold, ``(H, W)`` float32 in 0..1: the face alone."""
+        return self._whole(lambda rows: self._rows(self.maps.face, rows))
+
+    @property
+    def reflectance(self) -> np.ndarray:
+        """``(H, W, 3)`` float32, the person as if light came evenly to every place; 0 beyond the person."""
+        return self._whole(lambda rows: self._parts(rows)[0], 3)
+
+    @property
+    def shading(self) -> np.ndarray:
+        """``(H, W, 3)`` float32, what light, shape and shadows make of reflectance; 0 beyond the person."""
+        return self._whole(lambda rows: self._parts(rows)[1], 3)
+
+    @property
+    def highlights(self) -> np.ndarray:
+        """``(H, W, 3)`` float32, what the skin's surface mirrors; 0 beyond the person."""
+        return self._whole(lambda rows: self._parts(rows)[2], 3)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """``(H, W, 3)`` float32 unit vectors, x to image-right, y up, z to the camera; 0 beyond the person. Beyond the
+        face they are those of the mean bust, a guess."""
+
+        def rows_at(rows: slice) -> np.ndarray:
+            there = self._rows(self.maps.cover, rows)[..., None] > 0
+            return np.asarray(unit_vectors(self._rows(self.maps.normal, rows)) * there)
+
+        return self._whole(rows_at, 3)
+
+    @property
+    def normals_std(self) -> np.ndarray:
+        """Root mean square angle in degrees by which :attr:`normals` may be off, ``(H, W)`` float32; 0 beyond the
+        face."""
+        return self._whole(lambda rows: self._rows(self.maps.normal_std * self.maps.face, rows))
+
+    @property
+    def reflectance_std(self) -> np.ndarray:
+        """Standard deviation of :attr:`reflectance`, and with it of :attr:`shading`, as a share of it, ``(H, W)``
+        float32, the unknown scale apart; 0 beyond the face."""
+        return self._whole(lambda rows: self._rows(self.maps.reflectance_std * self.maps.face, rows))
+
+    def _parts(self, rows: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Reflectance, shading and highlights at some rows of the window, ``(h, W, 3)`` each."""
+        maps, white = self.maps, np.float32(scale_of(self.pixels))
+        source = self.pixels[self.window.rows, self.window.columns][rows].astype(np.float32) / white
+        cover = self._rows(maps.cover, rows)[..., None]
+        scene = to_scene(source)
+        share = of_person(scene, cover, self._rows(maps.ground, rows)) / np.maximum(cover, 0.05)
+        scene = np.where(cover > SURE_COVER, scene, share)
+        skin, diffuse = self._rows(maps.skin, rows), self._rows(maps.diffuse, rows)
+        highlight = (part_highlight(scene, diffuse)[1] * skin)[..., None]
+        flat = np.exp(-self._rows(maps.log_shading, rows))
+        body, bare = developed(scene - highlight), developed((scene - highlight) * flat)
+        there = cover > 0
+        shading = np.where(bare > BLACK, body / np.maximum(bare, BLACK), flat**-TOE)
+        return bare * there, shading * there, (developed(scene) - body) * there
+
+    def _rows(self, image: np.ndarray, rows: slice) -> np.ndarray:
+        """A map of the window's copy at some rows of the window."""
+        size = self.window.rows.stop - self.window.rows.start, self.window.columns.stop - self.window.columns.start
+        return rows_of(image, rows.start, rows.stop - rows.start, size)
+
+    def _whole(self, make: Callable[[slice], np.ndarray], channels: int = 1) -> np.ndarray:
+        """A layer of the photograph's size, made strip by strip."""
+        height, width = self.window.rows.stop - self.window.rows.start, self.window.columns.stop - self.window.columns.start
+        out = np.zeros((*self.size, channels), np.float32)
+        step = max(1, STRIP // width)
+        for top in range(0, height, step):
+            rows = slice(top, min(top + step, height))
+            there = slice(self.window.rows.start + rows.start, self.window.rows.start + rows.stop)
+            out[there, self.window.columns] = make(rows).reshape(rows.stop - rows.start, width, channels)
+        return out if channels > 1 else out[..., 0]
+
+
+def decompose_person(
+    pixels: np.ndarray, window: Window, person: Person, model: FaceModel, shading: BustShading, trust: np.ndarray
+) -> Decomposition:
+    """Take a photograph apart.
+
+    Args:
+        pixels: ``(H, W, 3)``.
+        window: its part with the bust.
+        person: what it shows of the person.
+        model: of its face.
+        shading: of the bust fitted to it.
+        trust: ``(h, w)`` on the model's crop, where the photograph shows what the model means.
+    """
+    relighter, frame = model.relighter, model.frame
+    noise = math.hypot(relighter.noise, MISFIT) / 255
+    parts = take_apart(relighter, model.luminance, model.mask, noise)
+
+    def radiance(directions: np.ndarray) -> np.ndarray:
+        """The face under lights as the camera sees them, exposed like the photograph, ``(P, h, w)``."""
+        lights = model.from_head(directions).to(relighter.statistics.lights)
+        return parts.posterior.mean(lights)[0].cpu().numpy() * exposure
+
+    exposure = 1.0
+    at_camera = float((radiance(STRAIGHT[None])[0] * model.mask.numpy()).sum())
+    exposure = float((model.luminance * model.mask).sum()) / max(at_camera, 1e-6) or 1.0
+    skin = person.skin
+    body = person.scene - (part_highlight(person.scene, skin.diffuse)[1] * skin.skin)[..., None]
+    light = _own_light(parts, model, exposure, window.onto_crop(body), trust, radiance)
+    ratio = LightRatio(FaceEvidence(model.luminance.numpy(), model.mask.numpy(), trust, radiance), frame, shading, light.white)
+    log_shading = _coloured(-ratio.flat(parts.reflectance.numpy()), ratio, light)
+    maps = LayerMaps(
+        person.cover,
+        window.from_crop(model.mask.numpy(), outside=0.0).clip(0, 1),
+        skin.skin,
+        person.ground,
+        skin.diffuse,
+        window.back(log_shading, FINE).reshape(*window.size, 3),
+        window.back(_normals(parts, model, shading, ratio.weight * ratio.trust), FINE),
+        window.from_crop(parts.normal_std.numpy(), outside=0.0),
+        window.from_crop(parts.reflectance_std.numpy(), outside=0.0),
+    )
+    return Decomposition(light, pixels, window, maps)
+
+
+def _own_light(
+    parts: FaceParts,
+    model: FaceModel,
+    exposure: float,
+    body: np.ndarray,
+    trust: np.ndarray,
+    radiance: Callable[[np.ndarray], np.ndarray],
+) -> OwnLight:
+    """The light as the camera sees it; ``body (h, w, 3)``, the crop without highlights."""
+    turn = torch.from_numpy(model.rotation).float()
+    directions, amounts = parts.light.directions.float() @ turn.T, parts.light.amounts[0].float() / exposure
+    images = torch.from_numpy(radiance(directions.numpy())).flatten(1)
+    colour = torch.from_numpy(np.ascontiguousarray(body.transpose(2, 0, 1))).flatten(1)
+    colours = light_colours(colour, images, amounts, torch.from_numpy(trust).flatten(), directions)
+    return OwnLight(
+        directions,
+        amounts,
+        parts.draws.amounts.float().std(0) / exposure,
+        colours,
+        turn @ parts.direction.float(),
+        parts.direction_std,
+        MIXTURE_SIZE,
+    )
+
+
+def _coloured(log_shading: np.ndarray, ratio: LightRatio, light: OwnLight) -> np.ndarray:
+    """``log_shading (H, W)`` in the light's own colours, ``(H, W, 3)``."""
+    mixture = light.mixture
+    tint = np.zeros((*log_shading.shape, 1), np.float32) if mixture.white else ratio(mixture)
+    return (log_shading[..., None] + np.broadcast_to(tint, (*log_shading.shape, 3))).astype(np.float32)
+
+
+def _normals(parts: FaceParts, model: FaceModel, shading: BustShading, sure: np.ndarray) -> np.ndarray:
+    """Normals on :data:`FINE`, ``(H, W, 3)``: the fitted bust's, on the face turned as the model's are beside those of
+    the average face."""
+    turn = model.rotation.astype(np.float32)
+
+    def onto(normal: torch.Tensor) -> np.ndarray:
+        return np.asarray(unit_vectors(crop_onto(normal.permute(1, 2, 0).numpy() @ turn.T, model.frame, FINE)))
+
+    average, own = onto(parts.average), onto(parts.normal)
+    towards = unit_vectors(average + OWN_SHAPE * sure[..., None] * (own - average))
+    axis = np.cross(average, towards)  # its length is the sine of the angle
+    cosine = (average * towards).sum(-1, keepdims=True)
+    bust = shading.bust.fine_normal
+    once = np.cross(axis, bust)
+    return np.asarray(unit_vectors(bust + once + np.cross(axis, once) / (1 + cosine)), np.float32)
