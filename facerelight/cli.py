@@ -1,4 +1,4 @@
-"""``facerelight train | relight | viewer | recognize``: the package from a terminal.
+"""``facerelight train | relight | viewer | decompose | recognize``: the package from a terminal.
 
 Exit codes: 0 done; 1 nothing found, or a part of several photos failed; 2 bad input; 3 the program or machine failed.
 """
@@ -27,6 +27,7 @@ VERBS = {
     "train": "render heads and learn statistics",
     "relight": "relight photos",
     "viewer": "write a page in which a portrait is lit by hand",
+    "decompose": "take a portrait apart: reflectance, shading, normals, its own light",
     "recognize": "recognise people from one photo each",
 }
 
@@ -38,7 +39,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         verb = _verb(given[:1])
-        return {"train": _train, "relight": _relight, "viewer": _viewer, "recognize": _recognize}[verb](given[1:])
+        run = {
+            "train": _train,
+            "relight": _relight,
+            "viewer": _viewer,
+            "decompose": _decompose,
+            "recognize": _recognize,
+        }
+        return run[verb](given[1:])
     except SystemExit as leaving:  # a parser has said why
         return int(leaving.code or 0)
     except ValueError as error:
@@ -166,6 +174,13 @@ def _viewer(argv: list[str]) -> int:
     from facerelight.photo.viewer.command import run_viewer, viewer_parser
 
     return run_viewer(viewer_parser().parse_args(join_values(argv)), _statistics_folder)
+
+
+def _decompose(argv: list[str]) -> int:
+    from facerelight.photo.layers.command import decompose_parser, run_decompose
+    from facerelight.photo.scenes import join_values
+
+    return run_decompose(decompose_parser().parse_args(join_values(argv)), _statistics_folder)
 
 
 def _recognize(argv: list[str]) -> int:

@@ -16,14 +16,15 @@ import numpy as np
 import torch
 
 from facerelight.numerics.luminance import BLACK
-from facerelight.photo.bust.frame import FINE, Window, crop_onto
+from facerelight.photo.bust.frame import FINE, Window, blur, crop_onto
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.bust.shading import BustShading
-from facerelight.photo.colour import TOE, developed, part_highlight, to_scene
+from facerelight.photo.colour import TOE, developed, to_scene
 from facerelight.photo.compose import STRIP, of_person, rows_of
 from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel
 from facerelight.photo.files.pixels import scale_of
 from facerelight.photo.layers.face import FaceParts, take_apart
+from facerelight.photo.layers.highlights import OwnSkin, own_skin, without_highlights
 from facerelight.photo.layers.own_light import OwnLight, light_colours
 from facerelight.photo.person import Person
 from facerelight.photo.ratio import FaceEvidence, LightRatio
@@ -32,19 +33,19 @@ __all__ = ["Decomposition", "decompose_person"]
 
 OWN_SHAPE = 0.5  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
+TINT_BLUR, TURN_BLUR = 0.25, 0.06  # units: colours of light vary slowly, and so does the shape beside the average
 STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
 
 
 class LayerMaps(NamedTuple):
-    """What layers are made of, on the window's copy: ``cover``, ``face``, ``skin (h, w)`` in 0..1; ``ground`` and the
-    skin's own colour ``diffuse (h, w, 3)``; ``log_shading (h, w, C)`` of scene radiance; ``normal (h, w, 3)``;
-    ``normal_std`` in degrees and ``reflectance_std``, a share, ``(h, w)``."""
+    """What layers are made of, on the window's copy: ``cover`` and ``face (h, w)`` in 0..1; ``ground (h, w, 3)``; the
+    ``skin`` of the face; ``log_shading (h, w, 3)`` of scene radiance; ``normal (h, w, 3)``; ``normal_std`` in degrees
+    and ``reflectance_std``, a share, ``(h, w)``."""
 
     cover: np.ndarray
     face: np.ndarray
-    skin: np.ndarray
     ground: np.ndarray
-    diffuse: np.ndarray
+    skin: OwnSkin
     log_shading: np.ndarray
     normal: np.ndarray
     normal_std: np.ndarray
@@ -78,6 +79,11 @@ class Decomposition:
     def size(self) -> tuple[int, int]:
         """Height and width of the photograph in pixels."""
         return self.pixels.shape[0], self.pixels.shape[1]
+
+    @property
+    def unit(self) -> float:
+        """The distance between the eyes in pixels of the photograph."""
+        return self.window.unit * (self.window.columns.stop - self.window.columns.start) / self.window.size[1]
 
     @property
     def matte(self) -> np.ndarray:
@@ -135,10 +141,11 @@ class Decomposition:
         scene = to_scene(source)
         share = of_person(scene, cover, self._rows(maps.ground, rows)) / np.maximum(cover, 0.05)
         scene = np.where(cover > SURE_COVER, scene, share)
-        skin, diffuse = self._rows(maps.skin, rows), self._rows(maps.diffuse, rows)
-        highlight = (part_highlight(scene, diffuse)[1] * skin)[..., None]
+        where, diffuse, level = (self._rows(part, rows) for part in (maps.skin.where, maps.skin.diffuse, maps.skin.level))
+        skin = maps.skin._replace(where=where, diffuse=diffuse, level=level)
+        matt = without_highlights(scene, skin)
         flat = np.exp(-self._rows(maps.log_shading, rows))
-        body, bare = developed(scene - highlight), developed((scene - highlight) * flat)
+        body, bare = developed(matt), developed(matt * flat)
         there = cover > 0
         shading = np.where(bare > BLACK, body / np.maximum(bare, BLACK), flat**-TOE)
         return bare * there, shading * there, (developed(scene) - body) * there
@@ -185,17 +192,18 @@ def decompose_person(
     exposure = 1.0
     at_camera = float((radiance(STRAIGHT[None])[0] * model.mask.numpy()).sum())
     exposure = float((model.luminance * model.mask).sum()) / max(at_camera, 1e-6) or 1.0
-    skin = person.skin
-    body = person.scene - (part_highlight(person.scene, skin.diffuse)[1] * skin.skin)[..., None]
+    face = window.from_crop(model.mask.numpy(), outside=0.0).clip(0, 1)
+    bare = face * (1 - person.features.eyes_and_lips) * person.cover
+    skin = own_skin(person.scene, bare, person.skin.diffuse, window.unit)
+    body = without_highlights(person.scene, skin)
     light = _own_light(parts, model, exposure, window.onto_crop(body), trust, radiance)
     ratio = LightRatio(FaceEvidence(model.luminance.numpy(), model.mask.numpy(), trust, radiance), frame, shading, light.white)
     log_shading = _coloured(-ratio.flat(parts.reflectance.numpy()), ratio, light)
     maps = LayerMaps(
         person.cover,
-        window.from_crop(model.mask.numpy(), outside=0.0).clip(0, 1),
-        skin.skin,
+        face,
         person.ground,
-        skin.diffuse,
+        skin,
         window.back(log_shading, FINE).reshape(*window.size, 3),
         window.back(_normals(parts, model, shading, ratio.weight * ratio.trust), FINE),
         window.from_crop(parts.normal_std.numpy(), outside=0.0),
@@ -233,7 +241,8 @@ def _coloured(log_shading: np.ndarray, ratio: LightRatio, light: OwnLight) -> np
     """``log_shading (H, W)`` in the light's own colours, ``(H, W, 3)``."""
     mixture = light.mixture
     tint = np.zeros((*log_shading.shape, 1), np.float32) if mixture.white else ratio(mixture)
-    return (log_shading[..., None] + np.broadcast_to(tint, (*log_shading.shape, 3))).astype(np.float32)
+    tint = blur(np.broadcast_to(tint, (*log_shading.shape, 3)), TINT_BLUR * FINE.density)
+    return (log_shading[..., None] + tint).astype(np.float32)
 
 
 def _normals(parts: FaceParts, model: FaceModel, shading: BustShading, sure: np.ndarray) -> np.ndarray:
@@ -245,7 +254,8 @@ def _normals(parts: FaceParts, model: FaceModel, shading: BustShading, sure: np.
         return np.asarray(unit_vectors(crop_onto(normal.permute(1, 2, 0).numpy() @ turn.T, model.frame, FINE)))
 
     average, own = onto(parts.average), onto(parts.normal)
-    towards = unit_vectors(average + OWN_SHAPE * sure[..., None] * (own - average))
+    own = blur(sure[..., None] * (own - average), TURN_BLUR * FINE.density)
+    towards = unit_vectors(average + OWN_SHAPE * own)
     axis = np.cross(average, towards)  # its length is the sine of the angle
     cosine = (average * towards).sum(-1, keepdims=True)
     bust = shading.bust.fine_normal

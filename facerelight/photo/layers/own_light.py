@@ -19,9 +19,9 @@ from facerelight.numerics.luminance import LUMINANCE
 
 __all__ = ["OwnLight", "light_colours"]
 
-TINT, REACH = 0.25, 0.7  # prior of how colours of lights differ: standard deviation of a channel, and over which distance
+TINT, REACH = 0.15, 0.7  # prior of how colours of lights differ: standard deviation of a channel, and over which distance
 UNEVEN = 0.10  # of a channel: how the colour of skin itself varies over a face
-PATCH = 150.0  # pixels of a crop that count as one observation of it
+PATCH = 300.0  # pixels of a crop that count as one observation of it
 LEAST, MOST = 0.4, 2.0  # of a channel of a light's colour
 FAINT = 0.003  # of all light: smaller amounts are the fit's own noise
 
