@@ -27,6 +27,7 @@ COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly
 EDGES = 0.85  # of the face's fine shading is the bust's
 FAINT_FACE, FAINT = 0.005, 0.02  # of the brightest bust shading: below it ratios level out
 AROUND, HEARSAY = 0.1, 0.02  # units over which, and weight with which, the unsure is asked
+DETAIL = 1.2  # pixels of the crop: finer than this a photograph shows pigment, coarser than this light as well
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
@@ -69,8 +70,6 @@ class LightRatio:
         self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
         self._near_rim = blur(self.rim, JOIN * FINE.density)
         self.trust = crop_onto(face.trust.astype(np.float32), crop, FINE)
-        self._sure = (self.trust + HEARSAY) * (self.weight > 0)
-        self._around = np.maximum(blur(self._sure, AROUND * FINE.density), 1e-4)
         self._fully_lit = np.maximum(blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
         self.dark = RATIO_FLOOR * max(mean, 1e-3)
@@ -85,17 +84,28 @@ class LightRatio:
         face, bust = self._maps(light)
         return np.stack([self._joined(face[..., c], bust[..., c]) for c in range(face.shape[-1])], -1)
 
-    def flat(self, reflectance: np.ndarray) -> np.ndarray:
+    def flat(self, reflectance: np.ndarray, luminance: np.ndarray, known: np.ndarray) -> np.ndarray:
         """``(H, W)`` log ratio of light that shades nothing over the photograph's own: 0 on average over the face.
+
+        On the face it takes all of the photograph's shading away, whether a light explains it or not, at what the
+        model's crop resolves; beyond it that of the bust.
 
         Args:
             reflectance: ``(h, w)`` of the face, on the model's crop, in any unit.
+            luminance: ``(h, w)``, what the photograph shows of it, without highlights.
+            known: ``(h, w)`` in 0..1, where it is known.
         """
-        face = crop_onto(reflectance.astype(np.float32), self.crop, FINE)
-        weight = self.weight * self.trust + 1e-6
-        seen, bare, white = (float((weight * part).sum()) for part in (self.source_face, face, self.source_bust))
-        even = np.full_like(self.source_bust, white / float(weight.sum()))
-        return self._joined(face * (seen / max(bare, 1e-6)), even)
+        kept = np.maximum(blur(known, DETAIL), 1e-3)
+        bare, seen = (
+            crop_onto(blur(part * known, DETAIL) / kept, self.crop, FINE) for part in (reflectance, luminance)
+        )
+        sure = (crop_onto(known.astype(np.float32), self.crop, FINE) * (self.weight > 0)).astype(np.float32)
+        weight = sure * self.weight + 1e-6
+        level = float((weight * seen).sum() / max(float((weight * bare).sum()), 1e-6))
+        inner = np.log((level * bare + self.dark) / (seen + self.dark))
+        inner = inner - float((weight * inner).sum() / weight.sum())
+        white = float((weight * self.source_bust).sum() / weight.sum())
+        return self._join(inner, self._bust_ratio(np.full_like(self.source_bust, white), FAINT), sure)
 
     def _joined(self, face: np.ndarray, bust: np.ndarray) -> np.ndarray:
         """One channel's log ratio, ``(H, W)``, from the radiance of the face and the irradiance of the bust."""
@@ -104,9 +114,13 @@ class LightRatio:
         inner = (
             inner + self._changed(inner) * self.unexplained
         )  # what the photograph's own light left unexplained goes with it
-        around = blur(inner * self._sure, AROUND * FINE.density) / self._around
-        inner = self.trust * inner + (1 - self.trust) * around  # what is unsure follows what surrounds it
-        outer = self._bust_ratio(bust, FAINT)
+        return self._join(inner, self._bust_ratio(bust, FAINT), self.trust)
+
+    def _join(self, inner: np.ndarray, outer: np.ndarray, trust: np.ndarray) -> np.ndarray:
+        """Log ratios ``inner`` of the face, as far as ``trust`` goes, and ``outer`` of the rest as one, ``(H, W)`` each."""
+        sure = (trust + HEARSAY) * (self.weight > 0)
+        around = blur(inner * sure, AROUND * FINE.density) / np.maximum(blur(sure, AROUND * FINE.density), 1e-4)
+        inner = trust * inner + (1 - trust) * around  # what is unsure follows what surrounds it
         level = float((self.rim * (inner - outer)).sum() / max(float(self.rim.sum()), 1e-6))
         near = blur(self.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(self._near_rim, 1e-4)
         outer = (

@@ -19,7 +19,7 @@ from facerelight.numerics.luminance import BLACK
 from facerelight.photo.bust.frame import FINE, Window, blur, crop_onto
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.bust.shading import BustShading
-from facerelight.photo.colour import TOE, developed, to_scene
+from facerelight.photo.colour import LUMA, TOE, developed, to_scene
 from facerelight.photo.compose import STRIP, of_person, rows_of
 from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel
 from facerelight.photo.files.pixels import scale_of
@@ -31,7 +31,7 @@ from facerelight.photo.ratio import FaceEvidence, LightRatio
 
 __all__ = ["Decomposition", "decompose_person"]
 
-OWN_SHAPE = 0.5  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
+OWN_SHAPE = 0.25  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
 TINT_BLUR, TURN_BLUR = 0.25, 0.06  # units: colours of light vary slowly, and so does the shape beside the average
 STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
@@ -39,8 +39,8 @@ STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
 
 class LayerMaps(NamedTuple):
     """What layers are made of, on the window's copy: ``cover`` and ``face (h, w)`` in 0..1; ``ground (h, w, 3)``; the
-    ``skin`` of the face; ``log_shading (h, w, 3)`` of scene radiance; ``normal (h, w, 3)``; ``normal_std`` in degrees
-    and ``reflectance_std``, a share, ``(h, w)``."""
+    ``skin`` of the face; ``log_shading (h, w, 3)`` of scene radiance; ``normal (h, w, 3)``, and the fitted
+    ``bust``'s alone; ``normal_std`` in degrees and ``reflectance_std``, a share, ``(h, w)``."""
 
     cover: np.ndarray
     face: np.ndarray
@@ -48,6 +48,7 @@ class LayerMaps(NamedTuple):
     skin: OwnSkin
     log_shading: np.ndarray
     normal: np.ndarray
+    bust: np.ndarray
     normal_std: np.ndarray
     reflectance_std: np.ndarray
 
@@ -193,12 +194,13 @@ def decompose_person(
     at_camera = float((radiance(STRAIGHT[None])[0] * model.mask.numpy()).sum())
     exposure = float((model.luminance * model.mask).sum()) / max(at_camera, 1e-6) or 1.0
     face = window.from_crop(model.mask.numpy(), outside=0.0).clip(0, 1)
+    known = model.mask.numpy() * (1 - window.onto_crop(person.features.not_skin).clip(0, 1))
     bare = face * (1 - person.features.eyes_and_lips) * person.cover
     skin = own_skin(person.scene, bare, person.skin.diffuse, window.unit)
-    body = without_highlights(person.scene, skin)
-    light = _own_light(parts, model, exposure, window.onto_crop(body), trust, radiance)
+    body = window.onto_crop(without_highlights(person.scene, skin))
+    light = _own_light(parts, model, exposure, body, trust, radiance)
     ratio = LightRatio(FaceEvidence(model.luminance.numpy(), model.mask.numpy(), trust, radiance), frame, shading, light.white)
-    log_shading = _coloured(-ratio.flat(parts.reflectance.numpy()), ratio, light)
+    log_shading = _coloured(-ratio.flat(parts.reflectance.numpy(), body @ LUMA, known), ratio, light)
     maps = LayerMaps(
         person.cover,
         face,
@@ -206,6 +208,7 @@ def decompose_person(
         skin,
         window.back(log_shading, FINE).reshape(*window.size, 3),
         window.back(_normals(parts, model, shading, ratio.weight * ratio.trust), FINE),
+        window.back(shading.bust.fine_normal, FINE),
         window.from_crop(parts.normal_std.numpy(), outside=0.0),
         window.from_crop(parts.reflectance_std.numpy(), outside=0.0),
     )
