@@ -6,7 +6,6 @@ import math
 
 import cv2
 import numpy as np
-import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 

@@ -74,9 +74,7 @@ def rendered_pictures(
             scene = picture * level + BACKDROP * (1 - there)
             photo = film(np.repeat(scene[..., None], 3, -1))
             irradiance = diffuse / np.maximum(albedo, 1e-3)
-            truth = TruePicture(
-                photo, frame.landmarks.numpy(), face, normal, albedo, irradiance, _middle(light)
-            )
+            truth = TruePicture(photo, frame.landmarks.numpy(), face, normal, albedo, irradiance, _middle(light))
             yield name, truth
     dataset.close()
 

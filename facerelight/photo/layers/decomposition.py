@@ -33,6 +33,7 @@ __all__ = ["Decomposition", "decompose_person"]
 
 OWN_SHAPE = 0.25  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
+OWN_AT_RIM = 0.6  # of a pixel's light is the person's at least, where the cover is partial
 TINT_BLUR, TURN_BLUR = 0.25, 0.06  # units: colours of light vary slowly, and so does the shape beside the average
 STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
 
@@ -84,7 +85,7 @@ class Decomposition:
     @property
     def unit(self) -> float:
         """The distance between the eyes in pixels of the photograph."""
-        return self.window.unit * (self.window.columns.stop - self.window.columns.start) / self.window.size[1]
+        return self.window.unit * self._part[1] / self.window.size[1]
 
     @property
     def matte(self) -> np.ndarray:
@@ -141,8 +142,10 @@ class Decomposition:
         cover = self._rows(maps.cover, rows)[..., None]
         scene = to_scene(source)
         share = of_person(scene, cover, self._rows(maps.ground, rows)) / np.maximum(cover, 0.05)
-        scene = np.where(cover > SURE_COVER, scene, share)
-        where, diffuse, level = (self._rows(part, rows) for part in (maps.skin.where, maps.skin.diffuse, maps.skin.level))
+        scene = np.where(cover > SURE_COVER, scene, np.maximum(share, OWN_AT_RIM * scene))
+        where, diffuse, level = (
+            self._rows(part, rows) for part in (maps.skin.where, maps.skin.diffuse, maps.skin.level)
+        )
         skin = maps.skin._replace(where=where, diffuse=diffuse, level=level)
         matt = without_highlights(scene, skin)
         flat = np.exp(-self._rows(maps.log_shading, rows))
@@ -153,12 +156,20 @@ class Decomposition:
 
     def _rows(self, image: np.ndarray, rows: slice) -> np.ndarray:
         """A map of the window's copy at some rows of the window."""
-        size = self.window.rows.stop - self.window.rows.start, self.window.columns.stop - self.window.columns.start
-        return rows_of(image, rows.start, rows.stop - rows.start, size)
+        return rows_of(image, rows.start, rows.stop - rows.start, self._part)
+
+    @property
+    def _part(self) -> tuple[int, int]:
+        """Height and width of the window in pixels of the photograph."""
+        rows, columns = self.window.rows, self.window.columns
+        return rows.stop - rows.start, columns.stop - columns.start
 
     def _whole(self, make: Callable[[slice], np.ndarray], channels: int = 1) -> np.ndarray:
         """A layer of the photograph's size, made strip by strip."""
-        height, width = self.window.rows.stop - self.window.rows.start, self.window.columns.stop - self.window.columns.start
+        height, width = (
+            self.window.rows.stop - self.window.rows.start,
+            self.window.columns.stop - self.window.columns.start,
+        )
         out = np.zeros((*self.size, channels), np.float32)
         step = max(1, STRIP // width)
         for top in range(0, height, step):
@@ -194,12 +205,14 @@ def decompose_person(
     at_camera = float((radiance(STRAIGHT[None])[0] * model.mask.numpy()).sum())
     exposure = float((model.luminance * model.mask).sum()) / max(at_camera, 1e-6) or 1.0
     face = window.from_crop(model.mask.numpy(), outside=0.0).clip(0, 1)
-    known = model.mask.numpy() * (1 - window.onto_crop(person.features.not_skin).clip(0, 1))
+    known = np.sqrt((trust * model.mask.numpy() * (1 - window.onto_crop(person.features.not_skin))).clip(0, 1))
     bare = face * (1 - person.features.eyes_and_lips) * person.cover
     skin = own_skin(person.scene, bare, person.skin.diffuse, window.unit)
     body = window.onto_crop(without_highlights(person.scene, skin))
     light = _own_light(parts, model, exposure, body, trust, radiance)
-    ratio = LightRatio(FaceEvidence(model.luminance.numpy(), model.mask.numpy(), trust, radiance), frame, shading, light.white)
+    ratio = LightRatio(
+        FaceEvidence(model.luminance.numpy(), model.mask.numpy(), trust, radiance), frame, shading, light.white
+    )
     log_shading = _coloured(-ratio.flat(parts.reflectance.numpy(), body @ LUMA, known), ratio, light)
     maps = LayerMaps(
         person.cover,

@@ -39,7 +39,9 @@ class LambertSphere:
         turn = torch.arange(0, 2 * math.pi - 1e-6, math.pi / 8, dtype=torch.float64)
         self._polar = torch.linspace(0, math.pi / 2 + PAST_EDGE, STEPS, dtype=torch.float64)
         sin, cos = torch.sin(self._polar)[:, None], torch.cos(self._polar)[:, None]
-        outward = torch.stack((turn.cos().expand(STEPS, -1), turn.sin().expand(STEPS, -1), 0 * turn.expand(STEPS, -1)), -1)
+        outward = torch.stack(
+            (turn.cos().expand(STEPS, -1), turn.sin().expand(STEPS, -1), 0 * turn.expand(STEPS, -1)), -1
+        )
         normal = sin[..., None] * outward + cos[..., None] * torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
         lamp = 1 + side_light * (1 - lights[:, 2])
         fitted = ((normal @ lights.T).clamp_min(0) * lamp) @ torch.linalg.pinv(lights).T  # (STEPS, 16, 3)

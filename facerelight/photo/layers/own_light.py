@@ -19,7 +19,10 @@ from facerelight.numerics.luminance import LUMINANCE
 
 __all__ = ["OwnLight", "light_colours"]
 
-TINT, REACH = 0.15, 0.7  # prior of how colours of lights differ: standard deviation of a channel, and over which distance
+TINT, REACH = (
+    0.15,
+    0.7,
+)  # prior of how colours of lights differ: standard deviation of a channel, and over which distance
 UNEVEN = 0.10  # of a channel: how the colour of skin itself varies over a face
 PATCH = 300.0  # pixels of a crop that count as one observation of it
 LEAST, MOST = 0.4, 2.0  # of a channel of a light's colour
@@ -137,5 +140,3 @@ def light_colours(colour: Tensor, images: Tensor, amounts: Tensor, weight: Tenso
     whole = amounts.double() @ found / amounts.double().sum().clamp_min(1e-12)
     colours = (1 + found - whole).clamp(LEAST, MOST)
     return (colours / (colours @ luma)[:, None]).float()
-
-

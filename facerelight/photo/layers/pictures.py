@@ -26,7 +26,7 @@ FILES = {
     "normals.png": "(n + 1) / 2, linear: red to image-right, green up, blue to the camera; beyond the face a guess",
     "needles.png": "the same as needles: each points where the surface faces, and is longer the more it turns away",
     "normals_std.png": "linear; white is an error of 45 degrees (root mean square); of the face alone",
-    "reflectance_std.png": "linear; white is a standard deviation as large as the reflectance itself; of the face alone",
+    "reflectance_std.png": "linear; white is a standard deviation as large as the reflectance; of the face alone",
     "light.png": "equirectangular, sRGB, the camera in the middle, the right half at image-left; for --environment",
     "decomposition.json": "the light in numbers, and what the files hold",
 }
