@@ -17,7 +17,7 @@ from facerelight.photo.bust.frame import Window
 from facerelight.photo.colour import SkinColour, relit_radiance, to_display, to_scene
 from facerelight.photo.files.pixels import scale_of
 
-__all__ = ["STRIP", "Changes", "change_pixels", "of_person", "rows_of"]
+__all__ = ["Changes", "change_pixels"]
 
 MOST = 2.0  # times its cover is the largest share that a person may have in a pixel
 STRIP = 1 << 17  # pixels worked on at once
@@ -52,15 +52,15 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
     def change(top: int) -> None:
         strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
         source = pixels[strip]
-        cover = rows_of(changes.cover, top, len(source), (height, width))[..., None]
+        cover = _part(changes.cover, top, len(source), (height, width))[..., None]
         if not cover.any():
             return
-        maps = {name: rows_of(image, top, len(source), (height, width)) for name, image in per_pixel.items()}
+        maps = {name: _part(image, top, len(source), (height, width)) for name, image in per_pixel.items()}
         colour = changes.skin._replace(**maps)
-        log_ratio = rows_of(changes.log_ratio, top, len(source), (height, width)).reshape(*cover.shape[:2], -1)
+        log_ratio = _part(changes.log_ratio, top, len(source), (height, width)).reshape(*cover.shape[:2], -1)
         scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
-        ground = rows_of(changes.ground, top, len(source), (height, width))
-        person = of_person(scene, cover, ground)
+        ground = _part(changes.ground, top, len(source), (height, width))
+        person = _of_person(scene, cover, ground)
         relit = relit_radiance(person, log_ratio, colour, changes.change)
         shown = to_display(scene + np.float32(changes.strength) * (relit - person), scene)
         out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
@@ -70,7 +70,7 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
     return out
 
 
-def of_person(scene: np.ndarray, cover: np.ndarray, ground: np.ndarray) -> np.ndarray:
+def _of_person(scene: np.ndarray, cover: np.ndarray, ground: np.ndarray) -> np.ndarray:
     """The person's share of radiance ``(h, w, 3)``: what is left of a pixel without the ground that shows beside it."""
     return np.clip(scene - (1 - cover) * ground, 0, scene * np.minimum(MOST * cover, 1))
 
@@ -83,7 +83,7 @@ def _coded(shown: np.ndarray, like: np.ndarray) -> np.ndarray:
     return np.floor(shown * np.float32(white) + 0.5).clip(0, white).astype(like.dtype)
 
 
-def rows_of(image: np.ndarray, top: int, rows: int, size: tuple[int, int]) -> np.ndarray:
+def _part(image: np.ndarray, top: int, rows: int, size: tuple[int, int]) -> np.ndarray:
     """Rows ``top`` to ``top + rows`` of ``image`` enlarged to ``size`` (H, W), without making the rest."""
     sy, sx = image.shape[0] / size[0], image.shape[1] / size[1]
     matrix = np.array([[sx, 0, 0.5 * sx - 0.5], [0, sy, (top + 0.5) * sy - 0.5]])

@@ -31,7 +31,7 @@ from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
-__all__ = ["MISFIT", "MIXTURE_SIZE", "FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
+__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
 
 LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
@@ -219,16 +219,16 @@ class FaceModel:
 
         Light from behind the head comes from its nearest side.
         """
-        return (self.crops(self.from_head(directions)).clamp_min(0) * self.exposure).numpy()
+        return (self.crops(self._from_head(directions)).clamp_min(0) * self.exposure).numpy()
 
     def std(self, direction: np.ndarray) -> np.ndarray:
         """Standard deviation of :meth:`radiance` under one light ``(3,)``, ``(h, w)``."""
-        light = self.from_head(direction[None]).to(self.relighter.statistics.lights)
+        light = self._from_head(direction[None]).to(self.relighter.statistics.lights)
         noise = (self.relighter.noise / 255) ** 2  # of a new picture, which no exposure scales
         known = (self._variance(light)[0, 0] - noise).clamp_min(0) * self.exposure**2
         return (known + noise).sqrt().cpu().numpy()
 
-    def from_head(self, directions: np.ndarray) -> Tensor:
+    def _from_head(self, directions: np.ndarray) -> Tensor:
         """``directions (P, 3)`` as the head sees them, none from behind it."""
         front = directions.astype(np.float64) @ self.rotation
         front[:, 2] = np.maximum(front[:, 2], 0)

@@ -16,6 +16,7 @@ from facerelight.numerics.luminance import LUMINANCE
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.colour import to_scene
 from facerelight.photo.layers.decomposition import Decomposition
+from facerelight.photo.layers.face import in_front
 from facerelight.photo.layers.lambert import LambertSphere
 from facerelight.photo.session import PhotoRelighter
 
@@ -78,7 +79,7 @@ def _crop_normals(session: PhotoRelighter) -> tuple[np.ndarray, np.ndarray]:
     relighter = session.relighter
     domain = relighter.statistics.metadata.get("config", {}).get("domain", {})  # type: ignore[attr-defined]
     sphere = LambertSphere(relighter.statistics.lights, float(domain.get("side_light", 0.0)))
-    lamp = session.model.from_head(session.source_light.numpy()[None])
+    lamp = in_front(session.source_light.numpy()[None], session.model.rotation)
     posterior = relighter.condition(session.luminance[None, None], lamp, mask=session.mask[None])
     found = (relighter.statistics.n_mean, posterior.normals().mean[0].float())
     turn = session.model.rotation.T.astype(np.float32)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import torch
 
@@ -20,10 +21,9 @@ from facerelight.photo.bust.frame import FINE, Window, blur, crop_onto
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.colour import LUMA, TOE, developed, to_scene
-from facerelight.photo.compose import STRIP, of_person, rows_of
 from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel
 from facerelight.photo.files.pixels import scale_of
-from facerelight.photo.layers.face import FaceParts, take_apart
+from facerelight.photo.layers.face import FaceParts, in_front, take_apart
 from facerelight.photo.layers.highlights import OwnSkin, own_skin, without_highlights
 from facerelight.photo.layers.own_light import OwnLight, light_colours
 from facerelight.photo.person import Person
@@ -33,7 +33,8 @@ __all__ = ["Decomposition", "decompose_person"]
 
 OWN_SHAPE = 0.25  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
-OWN_AT_RIM = 0.6  # of a pixel's light is the person's at least, where the cover is partial
+OWN_AT_RIM, MOST_AT_RIM = 0.6, 2.0  # of a pixel's light is the person's at least, and most, where the cover is partial
+STRIP = 1 << 17  # pixels worked on at once
 TINT_BLUR, TURN_BLUR = 0.25, 0.06  # units: colours of light vary slowly, and so does the shape beside the average
 STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
 
@@ -141,8 +142,8 @@ class Decomposition:
         source = self.pixels[self.window.rows, self.window.columns][rows].astype(np.float32) / white
         cover = self._rows(maps.cover, rows)[..., None]
         scene = to_scene(source)
-        share = of_person(scene, cover, self._rows(maps.ground, rows)) / np.maximum(cover, 0.05)
-        scene = np.where(cover > SURE_COVER, scene, np.maximum(share, OWN_AT_RIM * scene))
+        share = (scene - (1 - cover) * self._rows(maps.ground, rows)) / np.maximum(cover, 0.05)
+        scene = np.where(cover > SURE_COVER, scene, np.clip(share, OWN_AT_RIM * scene, MOST_AT_RIM * scene))
         where, diffuse, level = (
             self._rows(part, rows) for part in (maps.skin.where, maps.skin.diffuse, maps.skin.level)
         )
@@ -155,8 +156,12 @@ class Decomposition:
         return bare * there, shading * there, (developed(scene) - body) * there
 
     def _rows(self, image: np.ndarray, rows: slice) -> np.ndarray:
-        """A map of the window's copy at some rows of the window."""
-        return rows_of(image, rows.start, rows.stop - rows.start, self._part)
+        """A map of the window's copy at some rows of the window, without making the rest."""
+        height, width = self._part
+        sy, sx = image.shape[0] / height, image.shape[1] / width
+        matrix = np.array([[sx, 0, 0.5 * sx - 0.5], [0, sy, (rows.start + 0.5) * sy - 0.5]])
+        size, flags = (width, rows.stop - rows.start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
     @property
     def _part(self) -> tuple[int, int]:
@@ -198,7 +203,7 @@ def decompose_person(
 
     def radiance(directions: np.ndarray) -> np.ndarray:
         """The face under lights as the camera sees them, exposed like the photograph, ``(P, h, w)``."""
-        lights = model.from_head(directions).to(relighter.statistics.lights)
+        lights = in_front(directions, model.rotation).to(relighter.statistics.lights)
         return parts.posterior.mean(lights)[0].cpu().numpy() * exposure
 
     exposure = 1.0
