@@ -12,9 +12,9 @@ STUDIO: dict[str, tuple[Lamp, ...]] = {
     "rembrandt": (Lamp(48, 42, size=6, power=1.2), Lamp(-60, 10, size=25, power=0.08)),
     "butterfly": (Lamp(0, 50, size=8, power=1.15), Lamp(0, -35, size=25, power=0.12)),
     "loop": (Lamp(32, 32, size=8, power=1.1), Lamp(-40, 5, size=25, power=0.2)),
-    "split": (Lamp(88, 8, size=6, power=1.3),),
+    "split": (Lamp(78, 8, size=8, power=1.6),),
     "clamshell": (Lamp(0, 42, size=18, power=0.8), Lamp(0, -38, size=25, power=0.4)),
-    "rim": (Lamp(120, 25, size=6, power=1.2), Lamp(-120, 25, size=6, power=1.2), Lamp(0, 10, size=25, power=0.35)),
+    "rim": (Lamp(125, 25, size=6, power=1.3), Lamp(-125, 25, size=6, power=1.3), Lamp(0, 10, size=25, power=0.22)),
 }
 """Lamps by the name of the set-up: a triangle of light on the far cheek, a shadow under the nose, a loop of it beside
 the nose, a half in shade, light from above and below, and from behind."""

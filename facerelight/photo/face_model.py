@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +39,7 @@ MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum
 OWN_ERROR = 1.5  # degrees, by which fits to two photographs under one light differ
 SOFT_ERROR = (0.104, 0.144, 0.088)  # standard deviation of a fitted light, over 60 held-out rendered heads
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
+NORMALS_ERR = 0.15  # cosine: beyond the edge of a light, how far the average face's normals may be off
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
 CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -217,23 +218,34 @@ class FaceModel:
         """The head as it is turned, exposed like the photograph and never negative: ``directions (P, 3)`` to ``(P, h,
         w)``.
 
-        Light from behind the head comes from its nearest side.
+        Of light from behind the head, the model's answer for its nearest side is kept where the average face is turned
+        far enough to be reached.
         """
-        return (self.crops(self._from_head(directions)).clamp_min(0) * self.exposure).numpy()
+        seen = directions.astype(np.float64) @ self.rotation
+        side = _in_front(seen)
+        radiance = (self.crops(side).clamp_min(0) * self.exposure).numpy()
+        for one in np.flatnonzero(seen[:, 2] < 0):
+            radiance[one] *= self._reached(seen[one], side[one].numpy())
+        return radiance
+
+    def _reached(self, behind: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """The share of a light at the head's ``side (3,)`` that is left of one ``behind (3,)`` it, ``(h, w)``: of
+        Lambert's cosine on the average face, softened as far as its normals may err."""
+        there, here = (self.normal @ light + NORMALS_ERR for light in (behind, side))
+        return np.clip(there / np.maximum(here, 1e-3), 0, 1).astype(np.float32)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """Unit normals of the average face, seen from the head, ``(h, w, 3)``."""
+        n = self.relighter.statistics.n_mean.cpu().permute(1, 2, 0)
+        return torch.nn.functional.normalize(n, dim=-1).numpy()
 
     def std(self, direction: np.ndarray) -> np.ndarray:
         """Standard deviation of :meth:`radiance` under one light ``(3,)``, ``(h, w)``."""
-        light = self._from_head(direction[None]).to(self.relighter.statistics.lights)
+        light = _in_front(direction[None].astype(np.float64) @ self.rotation).to(self.relighter.statistics.lights)
         noise = (self.relighter.noise / 255) ** 2  # of a new picture, which no exposure scales
         known = (self._variance(light)[0, 0] - noise).clamp_min(0) * self.exposure**2
         return (known + noise).sqrt().cpu().numpy()
-
-    def _from_head(self, directions: np.ndarray) -> Tensor:
-        """``directions (P, 3)`` as the head sees them, none from behind it."""
-        front = directions.astype(np.float64) @ self.rotation
-        front[:, 2] = np.maximum(front[:, 2], 0)
-        front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
-        return torch.from_numpy(front.astype(np.float32))
 
     def trust(self, features: np.ndarray) -> np.ndarray:
         """Where the photograph shows what the model means, ``(h, w)`` in 0 to 1: lit skin, not eyes and teeth, hair,
@@ -253,6 +265,14 @@ class FaceModel:
         apart = np.abs(np.log((blur(luminance, 2) + floor) / (blur(expected, 2) + floor)))
         agrees = np.clip((1 - apart) / 0.5, 0, 1)
         return blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
+
+
+def _in_front(directions: np.ndarray) -> Tensor:
+    """``directions (P, 3)`` seen from the head, those behind it brought to its nearest side."""
+    front = directions * 1.0
+    front[:, 2] = np.maximum(front[:, 2], 0)
+    front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
+    return torch.from_numpy(front.astype(np.float32))
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:

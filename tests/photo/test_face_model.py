@@ -4,6 +4,7 @@ pixels of it are the face."""
 import numpy as np
 import pytest
 import torch
+from conftest import shaded_people
 
 from facerelight.geometry.alignment import CropFrame
 from facerelight.inference.relighter import StatisticalRelighter
@@ -58,6 +59,27 @@ def test_the_photographs_light_gives_the_photograph(statistics: FaceStatistics, 
         made = np.tensordot(model.light.weights[:, 0].numpy(), model.radiance(model.light.directions.numpy()), 1)
         off = (torch.from_numpy(made) - model.luminance) * model.mask
         assert float(off.norm() / (model.luminance * model.mask).norm()) < 0.15
+
+
+def test_light_from_behind_lights_the_rim_alone(lights: torch.Tensor, people: torch.Tensor) -> None:
+    """As the bumpy Lambertian people of the fixture are lit from there: nearer to the truth than the light at the edge,
+    which it joins without a step, and nothing of it where the face looks at the camera."""
+    statistics = FaceStatistics.fit(people[:12], lights, rank=6, face_rank=5, temper=10.0, basis=12)
+    model = FaceModel(StatisticalRelighter(statistics, "face"), [crop_of(people, 0.8)])
+    behind = np.array([[np.sin(np.deg2rad(a)), 0.0, np.cos(np.deg2rad(a))] for a in (90.0, 90.5, 125.0, 179.0)])
+    edge, step, rim, none = model.radiance(behind)
+    assert np.abs(step - edge).max() < 0.05 * edge.max()
+    assert (rim <= edge).all()
+    truth = shaded_people(14, torch.from_numpy(behind[2:3]).float(), 0)[13, 0].numpy() - 0.02  # its ambient light
+    seen = model.mask.numpy() > 0.5
+    exposed = truth * (
+        edge[seen].sum() / (shaded_people(14, torch.from_numpy(behind[:1]).float(), 0)[13, 0].numpy())[seen].sum()
+    )
+    assert np.abs(rim - exposed)[seen].mean() < 0.5 * np.abs(edge - exposed)[seen].mean()
+    middle = seen & (model.normal[..., 2] > 0.97)
+    assert middle.any()
+    assert rim[middle].max() < 0.02 * edge.max()
+    assert none[seen].max() < 0.05 * edge.max()
 
 
 def painted(frame: CropFrame, skin: tuple[float, float, float]) -> tuple[torch.Tensor, torch.Tensor]:

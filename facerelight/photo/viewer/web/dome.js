@@ -30,9 +30,12 @@ class Dome {
   }
 }
 
-// as a turned head sees a direction, none from behind it: photo/face_model.py
+// as a turned head sees a direction: photo/face_model.py
 function fromHead(direction, rotation) {
-  const seen = [0, 1, 2].map((axis) => direction.reduce((sum, value, k) => sum + value * rotation[k][axis], 0));
-  seen[2] = Math.max(seen[2], 0);
-  return unit(seen);
+  return [0, 1, 2].map((axis) => direction.reduce((sum, value, k) => sum + value * rotation[k][axis], 0));
+}
+
+// what is behind the head, brought to its nearest side
+function inFront([x, y, z]) {
+  return unit([x, y, Math.max(z, 0)]);
 }

@@ -281,7 +281,7 @@ class Page {
     overlay.style.opacity = this.doubting ? 1 : 0;
     if (!this.doubting) return;
     const { azimuth, elevation } = this.lamp, { rotation, crop_to_bust: [[scale, , x0], [, , y0]] } = this.model.facts;
-    const map = this.doubt.at(fromHead(lightFromAngles(azimuth, elevation), rotation)), most = Math.max(largest(map.values), 1e-6);
+    const map = this.doubt.at(inFront(fromHead(lightFromAngles(azimuth, elevation), rotation))), most = Math.max(largest(map.values), 1e-6);
     const small = document.createElement("canvas");
     small.width = map.width;
     small.height = map.height;

@@ -7,8 +7,9 @@ class Ratio {
     this.constants = facts.constants.ratio;
     this.shading = new Shading(model, coarse);
     this.dome = new Dome(arrays.face_basis, arrays.face_table);
+    this.faceNormal = raised(arrays.face_normal);
     this.cache = new Map();
-    this.fullyLit = this.dome.at(fromHead([0, 0, 1], facts.rotation)).blurred(6).map((value) => Math.max(value, 1e-3));
+    this.fullyLit = this.radiance([0, 0, 1]).blurred(6).map((value) => Math.max(value, 1e-3));
     this.frameFace(arrays);
     const own = this.maps([{ ...facts.own, strength: 1, colour: [1, 1, 1] }]);
     this.ownFace = own.face[0];
@@ -79,11 +80,20 @@ class Ratio {
     return { face, bust };
   }
 
+  // the head as it is turned: photo/face_model.py
+  radiance(direction) {
+    const seen = fromHead(direction, this.facts.rotation), side = inFront(seen), radiance = this.dome.at(side);
+    if (seen[2] >= 0) return radiance;
+    const err = this.facts.constants.face_model.NORMALS_ERR, normals = this.faceNormal.map((axis) => axis.values);
+    const facing = (light, p) => light[0] * normals[0][p] + light[1] * normals[1][p] + light[2] * normals[2][p] + err;
+    return radiance.map((value, p) => value * clamp(facing(seen, p) / Math.max(facing(side, p), 1e-3), 0, 1));
+  }
+
   faceLight({ directions, weights, size }) {
     const { SOFT, LEAK } = this.constants, edged = clamp((SOFT - size) / 10, 0, 1);
     const sum = new Raster(this.fullyLit.height, this.fullyLit.width), full = this.fullyLit.values;
     directions.forEach((direction, k) => {
-      const radiance = this.dome.at(fromHead(direction, this.facts.rotation)).values;
+      const radiance = this.radiance(direction).values;
       for (let p = 0; p < radiance.length; p++) {
         let value = radiance[p];
         if (edged && value > 0) {
