@@ -29,7 +29,7 @@ from facerelight.photo.layers.own_light import OwnLight, light_colours
 from facerelight.photo.person import Person
 from facerelight.photo.ratio import FaceEvidence, LightRatio
 
-__all__ = ["Decomposition", "decompose_person"]
+__all__ = ["STRIP", "Decomposition", "LayerMaps", "decompose_person"]
 
 OWN_SHAPE = 0.25  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows

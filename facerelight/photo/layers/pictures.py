@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from facerelight.geometry.environment import paint_environment
 from facerelight.photo.files.disk import write_photo
 from facerelight.photo.files.photograph import PhotoFile
 from facerelight.photo.files.pixels import as_bytes
-from facerelight.photo.layers.decomposition import Decomposition
+from facerelight.photo.layers.decomposition import STRIP, Decomposition
 
 __all__ = ["FILES", "layer_pictures", "needle_picture", "write_layers"]
 
@@ -40,18 +40,18 @@ def layer_pictures(parts: Decomposition) -> Iterator[tuple[str, np.ndarray, np.n
     """Name, values ``(H, W, 3)`` or ``(H, W)`` uint16 (needles: uint8), and alpha ``(H, W)`` uint16 or None of every
     picture, made one after the other."""
     cover = _codes(parts.matte)
-    yield "reflectance.png", _codes(_srgb(parts.reflectance)), cover
-    yield "shading.png", _codes(_srgb(parts.shading / SHADING_WHITE)), cover
-    yield "highlights.png", _codes(_srgb(parts.highlights)), None
+    yield "reflectance.png", _srgb(parts.reflectance), cover
+    yield "shading.png", _srgb(parts.shading, SHADING_WHITE), cover
+    yield "highlights.png", _srgb(parts.highlights), None
     normals = parts.normals
     normals[~normals.any(-1)] = (0, 0, 1)
-    yield "normals.png", _codes((normals + 1) / 2), cover
+    yield "normals.png", _codes(normals, lambda part: (part + 1) / 2), cover
     del normals
     yield "needles.png", needle_picture(parts), None
     face = _codes(parts.face)
-    yield "normals_std.png", _codes(parts.normals_std / DEGREES_WHITE), face
+    yield "normals_std.png", _codes(parts.normals_std, lambda part: part / DEGREES_WHITE), face
     yield "reflectance_std.png", _codes(parts.reflectance_std), face
-    yield "light.png", _codes(_srgb(paint_environment(parts.light.mixture, MAP_ROWS).numpy())), None
+    yield "light.png", _srgb(paint_environment(parts.light.mixture, MAP_ROWS).numpy()), None
 
 
 def needle_picture(parts: Decomposition) -> np.ndarray:
@@ -92,11 +92,21 @@ def write_layers(parts: Decomposition, folder: Path, about: dict[str, Any]) -> d
     return report
 
 
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    linear = np.clip(linear, 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, np.float32(1 / 2.4)) - 0.055)
+def _srgb(linear: np.ndarray, white: float = 1.0) -> np.ndarray:
+    """Linear values, 1 being ``1 / white`` of white, in sRGB codes of 16 bits."""
+
+    def coded(part: np.ndarray) -> np.ndarray:
+        share = np.clip(part / np.float32(white), 0, 1)
+        return np.where(share <= 0.0031308, 12.92 * share, 1.055 * np.power(share, np.float32(1 / 2.4)) - 0.055)
+
+    return _codes(linear, coded)
 
 
-def _codes(share: np.ndarray) -> np.ndarray:
-    """0..1 in 16 bits."""
-    return np.rint(np.clip(share, 0, 1) * 65535).astype(np.uint16)
+def _codes(values: np.ndarray, share: Callable[[np.ndarray], np.ndarray] = lambda part: part) -> np.ndarray:
+    """``share`` of values, 0..1, in 16 bits; worked out strip by strip."""
+    out = np.empty(values.shape, np.uint16)
+    step = max(1, STRIP // values.shape[1])
+    for top in range(0, len(values), step):
+        part = share(values[top : top + step])
+        out[top : top + step] = np.rint(np.clip(part, 0, 1) * 65535)
+    return out
