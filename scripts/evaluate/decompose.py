@@ -26,7 +26,7 @@ from facerelight.photo import PhotoRelighter, load_relighter
 
 def main() -> int:
     parser = ScriptParser(__file__, __doc__)
-    parser.add_argument("--heads", type=int, default=8, help="rendered, held out")
+    parser.add_argument("--heads", type=int, default=5, help="rendered, held out")
     parser.add_argument("--seed", type=int, default=7919)
     parser.add_size(420, 368)
     parser.add_argument("--margin", type=float, default=0.6, help="around the face, of the canonical crop")

@@ -92,8 +92,8 @@ def measure(
 
 def main() -> int:
     parser = ScriptParser(__file__, __doc__)
-    parser.add_argument("--heads", type=int, default=60, help="to learn from")
-    parser.add_argument("--people", type=int, default=4, help="held-out heads")
+    parser.add_argument("--heads", type=int, default=40, help="to learn from")
+    parser.add_argument("--people", type=int, default=2, help="held-out heads")
     parser.add_argument("--seed", type=int, default=7919, help="of the held-out heads")
     parser.add_argument("--targets", type=int, default=12, help="single lights asked for")
     parser.add_size(48, 42)
