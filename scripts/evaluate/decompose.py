@@ -1,7 +1,8 @@
 """How good shading, reflectance, normals and light of a decomposed portrait are, beside pictures whose parts are known.
 
 python scripts/evaluate/decompose.py --csv
-python scripts/evaluate/decompose.py --data FOLDER_OF_THE_SCAN --csv
+python scripts/evaluate/decompose.py --data FOLDER_OF_THE_SCAN --heads 0 --tones tan --csv part.csv
+python scripts/evaluate/decompose.py --join part.csv other_part.csv --csv
 
 Rendered heads that no statistics have seen, and with ``--data`` Lee Perry-Smith's scan, ray traced, in three skin
 tones; under lamps and taken by a camera that the package does not know. Errors are of the face: the median angle of
@@ -19,25 +20,34 @@ import torch
 from facerelight.config import DEFAULT_CONFIG
 from facerelight.evaluation.rendered.decomposition import measure_decomposition
 from facerelight.evaluation.rendered.truth import SETUPS, TruePicture, rendered_pictures, scanned_pictures
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser, joined_rows, markdown
 from facerelight.evaluation.scan import TONES, ScannedHead
 from facerelight.photo import PhotoRelighter, load_relighter
 
 
 def main() -> int:
     parser = ScriptParser(__file__, __doc__)
-    parser.add_argument("--heads", type=int, default=5, help="rendered, held out")
+    parser.add_argument("--heads", type=int, default=5, help="rendered, held out; 0: none")
     parser.add_argument("--seed", type=int, default=7919)
     parser.add_size(420, 368)
     parser.add_argument("--margin", type=float, default=0.6, help="around the face, of the canonical crop")
     parser.add_argument("--data", type=Path, help="folder of the scan: lps_head.npz and color.jpg")
+    parser.add_argument("--setups", nargs="+", choices=list(SETUPS), default=list(SETUPS))
+    parser.add_argument("--tones", nargs="+", choices=list(TONES), default=list(TONES), help="of the scan's skin")
+    parser.add_argument("--join", type=Path, nargs="+", metavar="CSV", help="make the table of several runs' files")
     parser.add_results("csv")
     args = parser.parse_args()
+    if args.join:
+        rows = joined_rows(args.join, ("heads", "setup", "row"), "pictures")
+        rows.sort(key=lambda row: (str(row["heads"]), row["setup"] != "all"))
+        print(markdown(rows))
+        parser.save_rows(args.csv, rows)
+        return 0
     torch.set_grad_enabled(False)
     relighter = load_relighter()
     config = replace(
         DEFAULT_CONFIG,
-        heads=args.heads,
+        heads=max(args.heads, 2),
         seed=args.seed,
         height=args.height,
         width=args.width,
@@ -46,12 +56,14 @@ def main() -> int:
     )
 
     def pictures() -> Iterator[tuple[str, str, TruePicture]]:
-        for name, truth in rendered_pictures(config, SETUPS):
-            yield "rendered", name, truth
+        setups = {name: SETUPS[name] for name in args.setups}
+        if args.heads:
+            for name, truth in rendered_pictures(config, setups):
+                yield "rendered", name, truth
         if args.data:
             head = ScannedHead(args.data)
-            for tone in TONES:
-                for name, truth in scanned_pictures(head, tone, SETUPS):
+            for tone in args.tones:
+                for name, truth in scanned_pictures(head, tone, setups):
                     yield "scan", name, truth
 
     found: dict[tuple[str, str, str], list[dict[str, float]]] = {}

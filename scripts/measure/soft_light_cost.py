@@ -1,6 +1,8 @@
 """What each setting of the estimate of many lights buys, and what it costs: error and time beside the default's.
 
 python scripts/measure/soft_light_cost.py --csv
+python scripts/measure/soft_light_cost.py --statistics FOLDER --knobs pixels --csv part.csv
+python scripts/measure/soft_light_cost.py --join part.csv other_part.csv --csv
 
 Held-out rendered heads under made-up surroundings; single lights are asked for, their means alone. Changed one at a
 time: how many pixels the estimator looks at, its most steps, how many samples of the light the picture is integrated
@@ -12,6 +14,7 @@ import statistics as averages
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -25,7 +28,7 @@ from facerelight.evaluation.rendered.surroundings import (
     render_heads,
     surroundings,
 )
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser, markdown, read_rows
 from facerelight.geometry.lights import even_hemisphere
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.relighter import StatisticalRelighter
@@ -97,20 +100,31 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=7919, help="of the held-out heads")
     parser.add_argument("--targets", type=int, default=12, help="single lights asked for")
     parser.add_size(48, 42)
+    parser.add_argument("--knobs", nargs="+", choices=list(KNOBS), default=list(KNOBS))
+    parser.add_argument("--statistics", type=Path, help="folder of trained ones, of the same size, instead of --heads")
+    parser.add_argument("--join", type=Path, nargs="+", metavar="CSV", help="make the table of several runs' files")
     parser.add_results("csv")
     args = parser.parse_args()
+    if args.join:
+        rows = [row for path in args.join for row in read_rows(path)]
+        print(markdown(rows))
+        parser.save_rows(args.csv, rows)
+        return 0
     torch.set_grad_enabled(False)
     size = {"height": args.height, "width": args.width, "margin": 0.0, "supersample": 1}
     config = replace(DEFAULT_CONFIG, heads=args.heads, **size)
-    statistics = FaceStatistics.fit(make_dataset(config).images(), config.directions(), None, config.fit)
+    if args.statistics:
+        statistics = FaceStatistics.load(args.statistics / "statistics.safetensors")
+    else:
+        statistics = FaceStatistics.fit(make_dataset(config).images(), config.directions(), None, config.fit)
     targets = even_hemisphere(args.targets)
     heads = render_heads(replace(config, heads=args.people, seed=args.seed), targets)
     truths = [place.truth for place in list(surroundings(environments()).values())[::EVERY]]
     measure(statistics, heads, targets, truths[:1], Setting())  # what is made once is made before the clock runs
     base_error, base_time = measure(statistics, heads, targets, truths, Setting())
     rows = []
-    for knob, values in KNOBS.items():
-        for value in values:
+    for knob in args.knobs:
+        for value in KNOBS[knob]:
             setting = Setting()._replace(**{knob: value})
             default = setting == Setting()
             error, took = (base_error, base_time) if default else measure(statistics, heads, targets, truths, setting)
