@@ -28,7 +28,7 @@ from facerelight.train.dataset import make_dataset
 
 __all__ = ["ROWS", "Surrounded", "SurroundedHeads", "measure_head", "one_gain", "render_heads", "surroundings"]
 
-ROWS = ("average face", "one lamp", "quotient", "estimated", "labelled")
+ROWS = ("average face", "one lamp", "quotient", "estimated", "labelled", "labelled, front")
 DIRECTIONS = 256  # over the whole sphere, 8 degrees apart
 LARGEST_QUOTIENT = 4.0
 BRIGHT = 0.995  # quantile of a picture that is exposed to white
@@ -82,7 +82,7 @@ def measure_head(
     places: Mapping[str, Surrounded],
     draws: int,
 ) -> dict[tuple[str, str, str], dict[str, float]]:
-    """Errors of one head by surrounding, row and what is asked for, "single" lights or other "surroundings": root mean
+    """Errors of one head by surrounding, row of :data:`ROWS` and what is asked for, "single" lights or other "surroundings": root mean
     square in grey levels and SSIM after one gain for all, and of single lights percent inside the 95 % interval.
 
     Args:
@@ -111,18 +111,22 @@ def measure_head(
         }
         rough = fit_soft_light(average, photo, everywhere)
         middle = normalize(light.amounts @ light.directions, dim=1)
+        ahead = (light.directions[:, 2] >= 0).to(photo)
         posteriors = {
             "one lamp": relighter.condition(photo[None, None], in_front(middle)),
             "quotient": relighter.condition(*_quotient(relighter, average, rough, photo)),
             "estimated": relighter.condition(photo[None, None], None, draws=draws),
             "labelled": relighter.condition(photo[None, None], light),
+            "labelled, front": relighter.condition(
+                photo[None, None], LightSum(light.directions, light.amounts * ahead)
+            ),
         }
         for what, (lights, truth) in asked.items():
             bare = prior_mean(statistics, lights).unflatten(1, statistics.size).clamp_min(0)
             found[name, "average face", what] = one_gain(bare, truth)
             for row, posterior in posteriors.items():
                 scores = one_gain(posterior.mean(lights)[0], truth)
-                if row in ("estimated", "labelled") and what == "single":
+                if row not in ("one lamp", "quotient") and what == "single":
                     mean, variance = posterior.render(targets[::EVERY])
                     inside = inside_interval(mean[0], variance[0], truth[::EVERY])
                     scores["coverage95"] = 100 * float(inside.mean())
