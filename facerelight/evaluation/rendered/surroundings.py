@@ -82,8 +82,9 @@ def measure_head(
     places: Mapping[str, Surrounded],
     draws: int,
 ) -> dict[tuple[str, str, str], dict[str, float]]:
-    """Errors of one head by surrounding, row of :data:`ROWS` and what is asked for, "single" lights or other "surroundings": root mean
-    square in grey levels and SSIM after one gain for all, and of single lights percent inside the 95 % interval.
+    """Errors of one head by surrounding, row of :data:`ROWS` and what is asked for, "single" lights or other
+    "surroundings": root mean square in grey levels and SSIM after one gain for all, and of single lights percent inside
+    the 95 % interval.
 
     Args:
         relighter: with an estimator of sums of lights.
