@@ -31,11 +31,12 @@ from facerelight.photo.ratio import FaceEvidence, LightRatio
 
 __all__ = ["STRIP", "Decomposition", "LayerMaps", "decompose_person"]
 
-OWN_SHAPE = 0.25  # of the way from the average face's normals to the model's, the fitted bust's normals are turned
+OWN_SHARE = 0.5  # of the face's normals is the model's, the rest the fitted bust's
 SURE_COVER = 0.98  # of the person's cover, from which nothing of the background shows
 OWN_AT_RIM, MOST_AT_RIM = 0.6, 2.0  # of a pixel's light is the person's at least, and most, where the cover is partial
 STRIP = 1 << 17  # pixels worked on at once
-TINT_BLUR, TURN_BLUR = 0.25, 0.06  # units: colours of light vary slowly, and so does the shape beside the average
+TINT_BLUR = 0.25  # units: colours of light vary slowly
+OWN_BLUR = 0.04  # units: finer than this the model's normals hold pigment
 STRAIGHT = np.array((0.0, 0.0, 1.0), np.float32)
 
 
@@ -267,18 +268,9 @@ def _coloured(log_shading: np.ndarray, ratio: LightRatio, light: OwnLight) -> np
 
 
 def _normals(parts: FaceParts, model: FaceModel, shading: BustShading, sure: np.ndarray) -> np.ndarray:
-    """Normals on :data:`FINE`, ``(H, W, 3)``: the fitted bust's, on the face turned as the model's are beside those of
-    the average face."""
+    """Normals on :data:`FINE`, ``(H, W, 3)``: the fitted bust's, on the face the mean of those and the model's."""
     turn = model.rotation.astype(np.float32)
-
-    def onto(normal: torch.Tensor) -> np.ndarray:
-        return np.asarray(unit_vectors(crop_onto(normal.permute(1, 2, 0).numpy() @ turn.T, model.frame, FINE)))
-
-    average, own = onto(parts.average), onto(parts.normal)
-    own = blur(sure[..., None] * (own - average), TURN_BLUR * FINE.density)
-    towards = unit_vectors(average + OWN_SHAPE * own)
-    axis = np.cross(average, towards)  # its length is the sine of the angle
-    cosine = (average * towards).sum(-1, keepdims=True)
+    own = crop_onto(parts.normal.permute(1, 2, 0).numpy() @ turn.T, model.frame, FINE)
     bust = shading.bust.fine_normal
-    once = np.cross(axis, bust)
-    return np.asarray(unit_vectors(bust + once + np.cross(axis, once) / (1 + cosine)), np.float32)
+    moved = blur(sure[..., None] * (unit_vectors(own) - bust), OWN_BLUR * FINE.density)
+    return np.asarray(unit_vectors(bust + OWN_SHARE * moved), np.float32)
