@@ -28,8 +28,8 @@ class FaceParts(NamedTuple):
     """An aligned face ``(h, w)``, as the head's own frame sees it.
 
     ``light``: the most probable amounts ``(1, n)`` of the bootstrap lights; ``draws``: other likely ones ``(M, n)``, as
-    bright; ``posterior``, which renders it, one person; unit ``normal (3, h, w)`` and those of the ``average`` face;
-    ``reflectance (h, w)``, of an unknown scale; ``normal_std (h, w)`` degrees, root mean square of the angle;
+    bright; ``posterior``, which renders it, one person; unit ``normal (3, h, w)``; ``reflectance
+    (h, w)``, of an unknown scale; ``normal_std (h, w)`` degrees, root mean square of the angle;
     ``reflectance_std (h, w)``, a share of the reflectance, the scale apart.
     """
 
@@ -37,7 +37,6 @@ class FaceParts(NamedTuple):
     draws: LightSum
     posterior: Posterior
     normal: Tensor
-    average: Tensor
     reflectance: Tensor
     normal_std: Tensor
     reflectance_std: Tensor
@@ -112,7 +111,6 @@ def take_apart(relighter: StatisticalRelighter, image: Tensor, mask: Tensor, noi
         LightSum(draws.directions.cpu(), draws.amounts.cpu()),
         posterior,
         normal,
-        sphere.undo(statistics.n_mean.cpu())[0],
         reflectance,
         torch.hypot(normal_std, torch.tensor(NORMAL_ERROR)),
         torch.hypot(reflectance_std, torch.tensor(REFLECTANCE_ERROR)),
