@@ -1,4 +1,4 @@
-"""``facerelight train | relight | viewer | augment | recognize``: the package from a terminal.
+"""``facerelight train | relight | viewer | decompose | augment | recognize``: the package from a terminal.
 
 Exit codes: 0 done; 1 nothing found, or a part of several photos failed; 2 bad input; 3 the program or machine failed.
 """
@@ -28,6 +28,7 @@ VERBS = {
     "relight": "relight photos",
     "viewer": "write a page in which a portrait is lit by hand",
     "augment": "write a training set of faces again, relit",
+    "decompose": "take a portrait apart: reflectance, shading, normals, its own light",
     "recognize": "recognise people from one photo each",
 }
 
@@ -44,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "relight": _relight,
             "viewer": _viewer,
             "augment": _augment,
+            "decompose": _decompose,
             "recognize": _recognize,
         }
         return run[verb](given[1:])
@@ -174,6 +176,13 @@ def _viewer(argv: list[str]) -> int:
     from facerelight.photo.viewer.command import run_viewer, viewer_parser
 
     return run_viewer(viewer_parser().parse_args(join_values(argv)), _statistics_folder)
+
+
+def _decompose(argv: list[str]) -> int:
+    from facerelight.photo.layers.command import decompose_parser, run_decompose
+    from facerelight.photo.scenes import join_values
+
+    return run_decompose(decompose_parser().parse_args(join_values(argv)), _statistics_folder)
 
 
 def _augment(argv: list[str]) -> int:

@@ -36,6 +36,7 @@ from facerelight.photo.faces.given import Landmarks, check_landmarks, locate_fac
 from facerelight.photo.faces.head_pose import HeadPose
 from facerelight.photo.faces.landmarks import Face
 from facerelight.photo.files.pixels import as_rgb, like, small_copy
+from facerelight.photo.layers.decomposition import Decomposition, decompose_person
 from facerelight.photo.person import Person
 from facerelight.photo.ratio import FaceEvidence, LightRatio
 from facerelight.photo.stages import Stage, StageLog
@@ -297,6 +298,19 @@ class PhotoRelighter:
         maps = self.model.std(light_from_angles(float(azimuth), float(elevation)).numpy()) * self.mask.numpy()
         return self._on_photo(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0))
 
+    @torch.inference_mode()
+    def decompose(self) -> Decomposition:
+        """What the photo is made of: shading, reflectance, highlights, normals, its own light, and how sure they are.
+
+        Example:
+            >>> from skimage.data import astronaut  # doctest: +SKIP
+            >>> parts = PhotoRelighter(astronaut()).decompose()  # doctest: +SKIP
+            >>> parts.reflectance.shape, parts.normals_std.max() < 90  # doctest: +SKIP
+            ((512, 512, 3), True)
+        """
+        shading, trust = self._shading, self._trust
+        return decompose_person(self._pixels, self.window, self.person, self.model, shading, trust)
+
     def _on_photo(self, image: np.ndarray) -> np.ndarray:
         """A map of the window's copy on the photo, ``(H, W)`` float32; 0 beyond the window."""
         out = np.zeros(self._pixels.shape[:2], np.float32)
@@ -321,17 +335,26 @@ class PhotoRelighter:
         return np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
 
     @cached_property
-    def _ratio(self) -> LightRatio:
+    def _shading(self) -> BustShading:
         """Built at the first render: a gallery asks for aligned faces alone."""
         cover = self.person.cover
         with self._log.measure("bust", "neck, hair and clothes follow the light"):
             in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
             down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
+            return BustShading(bust, self._exhaustive)
+
+    @cached_property
+    def _trust(self) -> np.ndarray:
+        """Where the crop is skin that the model understands, ``(h, w)``."""
+        return self.model.trust(self.window.onto_crop(self.person.features.not_skin))
+
+    @cached_property
+    def _ratio(self) -> LightRatio:
+        shading = self._shading
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
-            trust = self.model.trust(self.window.onto_crop(self.person.features.not_skin))
-            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
-            return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
+            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), self._trust, self.model.radiance)
+            return LightRatio(evidence, self.frame, shading, self.light)
 
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> _Aligned:
         """The window around a face, its copy, and the model's crop of it."""
