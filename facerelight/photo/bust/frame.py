@@ -14,7 +14,18 @@ import numpy as np
 
 from facerelight.geometry.alignment import CropFrame
 
-__all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "smooth_step", "working_window"]
+__all__ = [
+    "BUST",
+    "FINE",
+    "LARGEST_SIDE",
+    "Grid",
+    "Window",
+    "between",
+    "blur",
+    "crop_onto",
+    "smooth_step",
+    "working_window",
+]
 
 
 @dataclass(frozen=True)
@@ -117,9 +128,9 @@ class Window:
         )
 
 
-def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame) -> Window:
+def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame, largest: int = LARGEST_SIDE) -> Window:
     """The window of a photograph of ``shape (H, W, ...)`` whose similarity ``to_crop (2, 3)`` takes its pixels to the
-    model's crop."""
+    model's crop; its copy has at most ``largest`` pixels on the longer side."""
     to_bust = compose(crop_to_bust(crop), to_crop)
     corners = np.array([(x, y) for x in (-REACH[0], REACH[0]) for y in (REACH[1], -REACH[2])])
     back = invert(to_bust)
@@ -127,7 +138,7 @@ def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame)
     low = np.maximum(np.floor(corners.min(0)).astype(int), 0)
     high = np.minimum(np.ceil(corners.max(0)).astype(int) + 1, (shape[1], shape[0]))
     width, height = (int(v) for v in np.maximum(high - low, 1))
-    scale = min(1.0, LARGEST_SIDE / max(width, height))
+    scale = min(1.0, largest / max(width, height))
     size = max(1, round(height * scale)), max(1, round(width * scale))
     # pixel centres: copy pixel i stands for photograph pixel (i + 0.5) / scale - 0.5
     sx, sy = width / size[1], height / size[0]

@@ -15,7 +15,7 @@ import numpy as np
 from facerelight.photo.bust.frame import Window, blur, compose, smooth_step
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
-__all__ = ["ground_behind", "person_matte"]
+__all__ = ["coarse_cover", "ground_behind", "person_matte", "sharpened_matte"]
 
 NETWORK_SIZE = (256, 256)
 NEAR, AWAY = (4.6, 3.6, 6.2), 0.8  # units to each side, above and below the eyes; over which what is farther takes over
@@ -39,10 +39,21 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         image: ``(h, w, 3)`` uint8 sRGB, the window's copy.
         window: where the bust lies in it.
     """
+    return sharpened_matte(coarse_cover(image, window), image, window)
+
+
+def coarse_cover(image: np.ndarray, window: Window) -> np.ndarray:
+    """What the network says, ``(h, w)`` float32 in 0..1, blurred at the person's edges; GrabCut where it cannot be
+    read. Arguments as for :func:`person_matte`."""
     try:
-        cover = _network_cover(image, window)
+        return _network_cover(image, window)
     except (cv2.error, RuntimeError):
-        cover = _grabcut_cover(image, window)
+        return _grabcut_cover(image, window)
+
+
+def sharpened_matte(cover: np.ndarray, image: np.ndarray, window: Window) -> np.ndarray:
+    """The coarse ``cover (h, w)`` taken to the edges of ``image``, and off what is ground; ``(h, w)`` float32 in
+    0..1."""
     x, y = window.places()
     oval = np.hypot(x, (y + 0.42) / 1.42)  # of the face, 1 on its outline
     if float(cover[oval < 0.7].mean()) < SEEN:  # no person where the face is: the face alone
