@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from facerelight.inference.methods import RELIGHTING_METHODS
 from facerelight.photo.batch import DEFAULT_FOLDER, Job, Load, Request, find_jobs, is_batch, relight_photo
+from facerelight.photo.film.names import is_film
 from facerelight.photo.scenes import (
     ENVIRONMENT,
     LAMP,
@@ -41,14 +42,16 @@ def relight_parser() -> ArgumentParser:
     """The options of ``facerelight relight``."""
     parser = ArgumentParser(
         prog="facerelight relight",
-        description="Relight the faces in photos.",
+        description="Relight the faces in photos, or a face in a film.",
         epilog=EPILOG,
         allow_abbrev=False,
     )
-    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, or a folder of them and of folders"
+    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, a folder of them and of folders, or a film"
     parser.add_argument("photo", nargs="+", help=f"{formats}; several are relit each on its own")
     option = parser.add_argument_group("the new light").add_argument
-    option("--light", action="append", default=[], metavar="AZ,EL,...", help=f"a lamp, {LAMP}; repeat it for more")
+    moves = "a film's lamp with at=SECONDS moves from each such place to the next, lamp=NAME tells several apart"
+    lamp = f"a lamp, {LAMP}; repeat it for more; {moves}"
+    option("--light", action="append", default=[], metavar="AZ,EL,...", help=lamp)
     option("--azimuth", type=float, nargs="+", help="degrees, positive: light at image-left; several: several pictures")
     option("--elevation", type=float, nargs="+", help="degrees, positive: light above (default of both: 0)")
     option("--size", type=float, default=5.0, help="angular radius of lamps, degrees: 1 bulb, 15 soft box (default: 5)")
@@ -95,6 +98,12 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
         ValueError: options that cannot be used; with one photo also the photo.
         LandmarksNotFoundError: one photo, without a face.
     """
+    if len(arguments.photo) == 1 and is_film(arguments.photo[0], arguments.output):
+        from facerelight.photo.film.command import run_film
+        from facerelight.photo.film.lamps import take_moving
+
+        moving, arguments.light = take_moving(arguments.light, arguments.size)
+        return run_film(arguments, moving, _request(arguments), _loader(arguments, statistics_folder))
     request = _request(arguments)
     places = arguments.output, arguments.variance
     if arguments.workers < 1:
@@ -107,13 +116,7 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
     if len(jobs) > 1 and request.landmarks:
         raise ValueError(f"landmarks: expected one photo with them, got {len(jobs)}")
 
-    @cache
-    def load() -> StatisticalRelighter:
-        from facerelight.inference.relighter import StatisticalRelighter
-
-        folder = statistics_folder(arguments.statistics, arguments.quality)
-        return StatisticalRelighter.from_pretrained(folder, arguments.covariance)
-
+    load = _loader(arguments, statistics_folder)
     if batch:
         load()  # what is wrong with the statistics is wrong with every photo
         return _run_batch(jobs, request, load, arguments, statistics_folder)
@@ -121,6 +124,19 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
     _explain(report, arguments)
     print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
     return 0
+
+
+def _loader(arguments: Namespace, statistics_folder: Callable[[str | None, str], Path]) -> Load:
+    """Gives the relighter, read when it is first asked for."""
+
+    @cache
+    def load() -> StatisticalRelighter:
+        from facerelight.inference.relighter import StatisticalRelighter
+
+        folder = statistics_folder(arguments.statistics, arguments.quality)
+        return StatisticalRelighter.from_pretrained(folder, arguments.covariance)
+
+    return load
 
 
 def _run_batch(

@@ -11,8 +11,9 @@ import torch
 
 from facerelight.geometry.lights import angles_from_light, light_from_angles
 from facerelight.geometry.sources import Lamp, LightMixture
+from facerelight.photo.scenes import parse_lamp
 
-__all__ = ["MovingLamp", "lamps_at", "largest_step"]
+__all__ = ["MovingLamp", "lamps_at", "largest_step", "take_moving"]
 
 Source = Lamp | LightMixture
 OPPOSITE = -0.9998  # cosine: no shortest way leads from a place to the one opposite
@@ -23,6 +24,9 @@ class Stand(NamedTuple):
 
     time: float
     lamp: Lamp
+
+
+KEYFRAME = "AZIMUTH,ELEVATION,at=SECONDS[,lamp=NAME]"
 
 
 class MovingLamp:
@@ -70,6 +74,39 @@ class MovingLamp:
         size, power = between(one.lamp.size, two.lamp.size), between(one.lamp.power, two.lamp.power)
         red, green, blue = (between(*pair) for pair in zip(one.lamp.colour, two.lamp.colour, strict=True))
         return Lamp(float(azimuth), float(elevation), size, power, (red, green, blue))
+
+
+def take_moving(texts: Sequence[str], size: float = 5.0) -> tuple[list[MovingLamp], list[str]]:
+    """The lamps that move among ``texts`` of a command line, and the texts that are left: what has ``at=SECONDS`` is a
+    keyframe of one lamp, or of several that ``lamp=NAME`` tells apart.
+
+    Raises:
+        ValueError: another text, or keyframes that are no way.
+
+    Example:
+        >>> moving, still = take_moving(["-60,20,at=0", "60,20,at=5,size=10", "0,40,power=0.2"])
+        >>> len(moving[0].stands), still
+        (2, ['0,40,power=0.2'])
+    """
+    stands: dict[str, list[tuple[float, Lamp]]] = {}
+    still = []
+    for text in texts:
+        parts = [part.partition("=") for part in text.split(",")]
+        named = {name.strip().lower(): value.strip() for name, equals, value in parts if equals}
+        rest = ",".join("".join(part) for part in parts if part[0].strip().lower() not in ("at", "lamp"))
+        if "at" not in named:
+            if "lamp" in named:
+                raise ValueError(f"light: expected {KEYFRAME}, got {text!r} without at=")
+            still.append(text)
+            continue
+        try:
+            time = float(named["at"])
+            if not (math.isfinite(time) and time >= 0):
+                raise ValueError
+        except ValueError:
+            raise ValueError(f"light: expected {KEYFRAME}, the seconds from the film's start, got {text!r}") from None
+        stands.setdefault(named.get("lamp", ""), []).append((time, parse_lamp(rest, size)))
+    return [MovingLamp(one) for one in stands.values()], still
 
 
 def lamps_at(lamps: Sequence[Source | MovingLamp], time: float) -> list[Source]:

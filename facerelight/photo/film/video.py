@@ -4,6 +4,7 @@ is."""
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -19,17 +20,14 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-__all__ = ["FILMS", "WRITTEN", "FilmFacts", "check_film_output", "convert_film", "film_facts", "is_film"]
+__all__ = ["FilmFacts", "convert_film", "film_facts"]
 
-WRITTEN = (".mp4", ".m4v", ".mov", ".mkv", ".webm")
-FILMS = (*WRITTEN, ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".flv", ".3gp", ".ogv", ".gif", ".apng")
 NEEDED = 'films need PyAV; pip install "facerelight[video]"'
 ENCODERS: dict[str, dict[str, str]] = {
     "libx264": {"crf": "16", "preset": "medium"},
     "libx265": {"crf": "18", "preset": "medium", "x265-params": "log-level=error"},
     "libvpx-vp9": {"crf": "20", "b:v": "0", "row-mt": "1", "cpu-used": "4"},
 }
-UNSPECIFIED = (None, 0, 2)  # of a colour space
 HIGH_DEFINITION = 720  # lines, from which players take a film without a colour space for BT.709
 CODED_AS = {
     1: "ITU709",
@@ -42,6 +40,7 @@ CODED_AS = {
 NOT_SRGB = {16: "PQ", 18: "HLG"}  # transfer curves
 STILL_PICTURE = 0x0400  # a stream that is a cover
 RATE = Fraction(25)  # frames a second where a film says nothing
+TAGS = ("colorspace", "color_range", "color_primaries", "color_trc")
 
 Change = Callable[[Iterator[Picture]], Iterable[Picture]]
 
@@ -55,28 +54,6 @@ class FilmFacts(NamedTuple):
     frames: int
     bits: int
     turn: int
-
-
-def is_film(path: str | Path, output: str | None = None) -> bool:
-    """Whether a file's name is a film's, or that of its ``output`` is."""
-    return Path(path).suffix.lower() in FILMS or (output is not None and Path(output).suffix.lower() in WRITTEN)
-
-
-def check_film_output(path: Path, force: bool) -> None:
-    """What is wrong with a place for a film.
-
-    Raises:
-        ValueError: another suffix, a folder that cannot be written to, or a file that exists already.
-    """
-    if path.suffix.lower() not in WRITTEN:
-        raise ValueError(f"{path}: expected a film's name ({', '.join(WRITTEN)}), got {path.suffix or 'no suffix'!r}")
-    folder = path.parent
-    while not os.path.lexists(folder) and folder != folder.parent:
-        folder = folder.parent
-    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise ValueError(f"{path}: expected a file in a folder that can be written, which {folder} is not")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: exists already; --force overwrites it, --output says another place")
 
 
 def film_facts(path: str | Path) -> FilmFacts:
@@ -129,18 +106,17 @@ class _Conversion:
         self, given: InputContainer, made: OutputContainer, facts: FilmFacts, first: VideoFrame, lost: list[str]
     ) -> None:
         self.given, self.made, self.facts, self.lost = given, made, facts, lost
-        self.video = _picture_stream(given)
-        assert self.video is not None
+        self.video: Any = _picture_stream(given)
         self.space, self.full = _colour_space(first), int(first.color_range) == 2
-        self.frames: list[VideoFrame] = []  # stored ones of pictures that are on their way
+        self.stored: deque[dict[str, Any]] = deque()  # times and tags of pictures that are on their way
+        self.stored_size = first.height, first.width
         self.out = self._picture_out(first)
         self.copies = self._copied_streams()
         self.made.metadata.update(given.metadata)
 
     def run(self, change: Change) -> None:
         for picture in change(self._pictures()):
-            stored = self.frames.pop(0)
-            for packet in self.out.encode(self._coded(picture.pixels, stored)):
+            for packet in self.out.encode(self._coded(picture.pixels, self.stored.popleft())):
                 self.made.mux(packet)
         for packet in self.out.encode(None):
             self.made.mux(packet)
@@ -154,11 +130,11 @@ class _Conversion:
                     self.made.mux(packet)
                 continue
             for frame in _decoded(packet):
-                if (frame.height, frame.width) != (self.video.height, self.video.width):
-                    frame = frame.reformat(self.video.width, self.video.height)
+                if (frame.height, frame.width) != self.stored_size:  # a film may change its size
+                    frame = frame.reformat(self.stored_size[1], self.stored_size[0])
                 time = float(frame.time or 0.0)
                 start = time if start is None else start
-                self.frames.append(frame)
+                self.stored.append({tag: getattr(frame, tag) for tag in ("pts", "time_base", *TAGS)})
                 form = "rgb48le" if self.facts.bits > 8 else "rgb24"
                 shown = frame.to_ndarray(format=form, **self._range("src"))
                 yield Picture(np.ascontiguousarray(np.rot90(shown, self.facts.turn)), time - start)
@@ -166,25 +142,24 @@ class _Conversion:
     def _range(self, side: str) -> dict[str, Any]:
         return {f"{side}_colorspace": self.space, f"{side}_color_range": 2 if self.full else 1}
 
-    def _coded(self, pixels: np.ndarray, stored: VideoFrame) -> VideoFrame:
+    def _coded(self, pixels: np.ndarray, stored: dict[str, Any]) -> VideoFrame:
         av = _av()
         turned = np.ascontiguousarray(np.rot90(pixels, -self.facts.turn))
         shown = av.VideoFrame.from_ndarray(turned, format="rgb48le" if self.facts.bits > 8 else "rgb24")
-        frame = shown.reformat(format=self.out.codec_context.pix_fmt, **self._range("dst"))
-        frame.pts, frame.time_base = stored.pts, stored.time_base
-        for tag in ("colorspace", "color_range", "color_primaries", "color_trc"):
-            setattr(frame, tag, getattr(stored, tag))
+        frame: VideoFrame = shown.reformat(format=self.out.codec_context.pix_fmt, **self._range("dst"))
+        for tag, value in stored.items():
+            setattr(frame, tag, value)
         return frame
 
-    def _picture_out(self, first: VideoFrame) -> VideoStream:
+    def _picture_out(self, first: VideoFrame) -> Any:
         name = self.video.codec_context.name
         kind = "libvpx-vp9" if self.made.format.name == "webm" else "libx265" if name == "hevc" else "libx264"
-        out: VideoStream = self.made.add_stream(kind, rate=self.facts.rate, options=dict(ENCODERS[kind]))
+        out: Any = self.made.add_stream(kind, rate=self.facts.rate, options=dict(ENCODERS[kind]))
         context, own = out.codec_context, self.video.codec_context
-        context.width, context.height = self.video.width, self.video.height
+        context.width, context.height = first.width, first.height
         context.pix_fmt = _pixel_format(kind, first)
         context.time_base = self.video.time_base
-        for tag in ("colorspace", "color_range", "color_primaries", "color_trc"):
+        for tag in TAGS:
             setattr(context, tag, getattr(own, tag))
         if own.sample_aspect_ratio:
             context.sample_aspect_ratio = own.sample_aspect_ratio
