@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from facerelight.photo.bust.frame import Window, blur, compose, smooth_step
+from facerelight.photo.colour import most_channel
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
 __all__ = ["coarse_cover", "ground_behind", "person_matte", "sharpened_matte"]
@@ -91,9 +92,9 @@ def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.nd
         blur(values * bare[..., None], reach) / np.maximum(weight, 1e-4)[..., None] for values in (coded, coded**2)
     )
     level = ground_behind(coded, cover, window.unit)
-    scale = level.max(-1) + 0.2  # what differs little in the dark differs as little in the light
-    varies = np.sqrt(np.maximum(square - mean**2, 0)).max(-1) / scale
-    differs = np.abs(coded - level).max(-1) / scale
+    scale = most_channel(level) + 0.2  # what differs little in the dark differs as little in the light
+    varies = np.sqrt(np.maximum(most_channel(square - mean**2), 0)) / scale
+    differs = most_channel(np.abs(coded - level)) / scale
     differs = np.maximum(differs, blur(differs, 0.02 * window.unit))
     alike = np.clip((DIFFERS[1] - differs) / (DIFFERS[1] - DIFFERS[0]), 0, 1)
     plain = np.clip((VARIES[1] - varies) / (VARIES[1] - VARIES[0]), 0, 1)
@@ -105,7 +106,7 @@ def _blank(image: np.ndarray, window: Window) -> np.ndarray:
     """1 on areas of one colour that reach the picture's border, ``(h, w)`` float32: paper, clipped sky, a cut-out's
     ground. What has the colour of one above the eyes is no clothes."""
     square: np.ndarray = np.ones((3, 3), np.uint8)
-    flat = (cv2.dilate(image, square) - cv2.erode(image, square)).max(-1) <= FLAT
+    flat = most_channel(cv2.dilate(image, square) - cv2.erode(image, square)) <= FLAT
     _, labels, found, _ = cv2.connectedComponentsWithStats(flat.astype(np.uint8))
     border = np.ones(flat.shape, bool)
     border[1:-1, 1:-1] = False
@@ -120,7 +121,7 @@ def _blank(image: np.ndarray, window: Window) -> np.ndarray:
         return blank
     near = cv2.dilate(blank, np.ones((2 * RINGING + 1,) * 2, np.uint8)) > 0
     colour = blur(image * blank[..., None], RINGING) / np.maximum(blur(blank, RINGING), 1e-3)[..., None]
-    alike = near & (np.abs(image - colour).max(-1) < ALIKE)  # compression rings along its edge
+    alike = near & (most_channel(np.abs(image - colour)) < ALIKE)  # compression rings along its edge
     return blur(np.maximum(blank, alike), 0.7)
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from facerelight.inference.methods import Method
 from facerelight.photo.bust.frame import Window, compose, invert
 from facerelight.photo.bust.matte import coarse_cover, sharpened_matte
+from facerelight.photo.colour import most_channel
 from facerelight.photo.face_model import FaceModel
 from facerelight.photo.faces.landmarks import Face
 from facerelight.photo.film.evidence import Evidence
@@ -42,7 +43,7 @@ class SteadyMatte:
                 cv2.warpAffine(one, to_window, window.size[::-1], borderMode=cv2.BORDER_REPLICATE)
                 for one in (before, picture)
             )
-            differs = np.abs(smooth - picture).max(-1)
+            differs = most_channel(np.abs(smooth - picture))
             moved = cv2.GaussianBlur(np.clip((differs - SAME) / (OTHER - SAME), 0, 1), (0, 0), NOISE)
             cover = before + np.clip(STILL + 2 * moved, 0, 1) * (cover - before)
         self._before = cover.astype(np.float32), smooth, window

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from facerelight.photo.files.disk import SUFFIXES
+
 __all__ = ["FILMS", "WRITTEN", "check_film_output", "is_film"]
 
 WRITTEN = (".mp4", ".m4v", ".mov", ".mkv", ".webm")
@@ -12,8 +14,9 @@ FILMS = (*WRITTEN, ".avi", ".mpg", ".mpeg", ".ts", ".mts", ".m2ts", ".wmv", ".fl
 
 
 def is_film(path: str | Path, output: str | None = None) -> bool:
-    """Whether a file's name is a film's, or that of its ``output`` is."""
-    return Path(path).suffix.lower() in FILMS or (output is not None and Path(output).suffix.lower() in WRITTEN)
+    """Whether a file's name is a film's, or that of its ``output`` is while its own says nothing."""
+    suffix, asked = Path(path).suffix.lower(), Path(output or "").suffix.lower()
+    return suffix in FILMS or (asked in WRITTEN and suffix not in SUFFIXES)
 
 
 def check_film_output(path: Path, force: bool) -> None:
