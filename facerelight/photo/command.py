@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from facerelight.inference.methods import RELIGHTING_METHODS
 from facerelight.photo.batch import DEFAULT_FOLDER, Job, Load, Request, find_jobs, is_batch, relight_photo
 from facerelight.photo.film.names import is_film
+from facerelight.photo.folder.share import Share, join_processes
 from facerelight.photo.scenes import (
     ENVIRONMENT,
     LAMP,
@@ -109,17 +110,19 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
     if arguments.workers < 1:
         raise ValueError(f"workers: expected at least 1 process, got {arguments.workers}")
     batch = is_batch(arguments.photo, arguments.same_person)
+    share = join_processes() if batch else Share()
     if arguments.resume and not batch:
         raise ValueError("resume: expected several photos, or a folder of them, got what makes one result")
     over = arguments.force or arguments.resume
     jobs = find_jobs(arguments.photo, request.scenes, *places, arguments.same_person, over)
+    share.wait()  # until all have seen that nothing is overwritten
     if len(jobs) > 1 and request.landmarks:
         raise ValueError(f"landmarks: expected one photo with them, got {len(jobs)}")
 
     load = _loader(arguments, statistics_folder)
     if batch:
         load()  # what is wrong with the statistics is wrong with every photo
-        return _run_batch(jobs, request, load, arguments, statistics_folder)
+        return _run_batch(jobs, request, load, arguments, statistics_folder, share)
     report = relight_photo(jobs[0], request, load, _say)
     _explain(report, arguments)
     print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
@@ -145,13 +148,15 @@ def _run_batch(
     load: Load,
     arguments: Namespace,
     statistics_folder: Callable[[str | None, str], Path],
+    share: Share,
 ) -> int:
-    """Relight the photos, print a line for each that ended, and add it to the manifest."""
+    """Relight this process's share of the photos, print a line for each that ended, and add it to the manifest."""
     from facerelight.photo.folder.manifest import Manifest
     from facerelight.photo.folder.progress import Progress
     from facerelight.photo.folder.work import Model, relight_jobs
 
-    manifest = Manifest(Path(arguments.output or DEFAULT_FOLDER), request)
+    manifest = Manifest(Path(arguments.output or DEFAULT_FOLDER), request, share.rank)
+    jobs = share.of(jobs)
     wanted = manifest.left(jobs) if arguments.resume else jobs
     if len(wanted) < len(jobs):
         _say(f"{len(jobs) - len(wanted)} of {len(jobs)} photos were done before")
@@ -173,6 +178,10 @@ def _run_batch(
     except KeyboardInterrupt:
         _say("interrupted; the same command with --resume goes on")
         return INTERRUPTED
+    share.wait()
+    if share.rank == 0:
+        manifest.merge()
+    share.wait()  # torchrun ends all where one says that a photo failed
     failed = sum(code > 0 for code in codes)
     if failed:
         _say(f"{failed} of {len(wanted)} photos could not be relit; {manifest.path} says which and why")
