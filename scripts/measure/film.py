@@ -61,8 +61,8 @@ def panned_film(count: int) -> list[np.ndarray]:
     return [noisy(cv2.warpAffine(photo, pan(k), (320, 400), flags=cv2.INTER_CUBIC), rng) for k in range(count)]
 
 
-def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """A head that turns and speaks, with noise, and the truth under the new lamp without."""
+def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """A head that turns and speaks, with noise, and the truth under the new lamp without; where all frames show it."""
     from facerelight.bootstrap.dataset import open_renderer
     from facerelight.bootstrap.domain import Domain
     from facerelight.bootstrap.heads import MakeHumanHeads
@@ -76,7 +76,7 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
     frame, domain = CropFrame(400, 360, 0.55), Domain(fill=0.1)
     rng, renderer = np.random.default_rng(2), open_renderer(frame)
     look, films = Look.random(np.random.default_rng(7), domain), ([], [])  # type: ignore[var-annotated]
-    level = None
+    level, always = None, np.ones((frame.height, frame.width), bool)
     for k in range(count):
         head = MakeHumanHeads(11, expression={EXPRESSION: OPEN * (0.5 - 0.5 * np.cos(k / 2.5))}).head(0)
         turned = rotate(head, TURN * np.sin(k / 9), NOD * np.sin(k / 13) - 8.0)
@@ -84,6 +84,7 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
         inside = np.zeros(frame.height * frame.width, np.float32)
         inside[surface.pixel.numpy()] = 1
         share = cv2.GaussianBlur(inside.reshape(frame.height, frame.width), (0, 0), 0.7)[..., None]
+        always &= share[..., 0] > 0.99
         lamps = (((-25, 15, 1.0), (40, 20, 0.35)), ((LAMP.azimuth, LAMP.elevation, 1.0),))
         for film, lit in zip(films, lamps, strict=True):
             image = np.zeros((frame.height, frame.width), np.float32)
@@ -96,7 +97,14 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
             coded = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
             film.append(noisy(coded, rng, 2.0) if film is films[0] else coded.round().astype(np.uint8))
     renderer.close()
-    return films
+    return *films, always
+
+
+def as_bright(truth: np.ndarray, like: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """``truth (T, H, W, 3)`` times one gain of radiance for all of it: a relit picture is exposed as it was."""
+    radiance = [((film / 255 + 0.055) / 1.055) ** 2.4 for film in (truth, like)]
+    gain = float((radiance[0] * radiance[1])[:, head].sum() / np.square(radiance[0][:, head]).sum())
+    return 255 * (1.055 * np.minimum(gain * radiance[0], 1) ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 def flicker(film: np.ndarray, person: np.ndarray) -> float:
@@ -115,7 +123,9 @@ def relit(film: Sequence[np.ndarray]) -> tuple[list[np.ndarray], FilmRelighter]:
     return [picture.pixels for picture in relighter.frames(pictures)], relighter
 
 
-def measured(name: str, film: Sequence[np.ndarray], truth: Sequence[np.ndarray] | None = None) -> dict[str, Any]:
+def measured(
+    name: str, film: Sequence[np.ndarray], truth: Sequence[np.ndarray] | None = None, head: np.ndarray | None = None
+) -> dict[str, Any]:
     started = time.perf_counter()
     out, relighter = relit(film)
     seconds = time.perf_counter() - started
@@ -131,6 +141,8 @@ def measured(name: str, film: Sequence[np.ndarray], truth: Sequence[np.ndarray] 
         )
         beside = before
     person = (np.abs(after - before).max(-1) > 0).mean(0) > 0.9
+    if head is not None:
+        person, beside = head, as_bright(beside, after, head)
     if name == "panned":
         person[:12] = person[-12:] = False
         person[:, :12] = person[:, -12:] = False
@@ -198,18 +210,17 @@ def main() -> None:
     parser.add_argument("--films", type=Path, help="folder: every fifth frame as a picture, beside the film's own")
     parser.add_results("csv")
     arguments = parser.parse_args()
-    head, truth = rendered_films(arguments.frames)
-    films = {"still": (still_film(arguments.frames), None), "panned": (panned_film(arguments.frames), None)}
-    films["rendered head"] = head, truth  # type: ignore[assignment]
+    films: dict[str, tuple[Any, ...]] = {"rendered head": rendered_films(arguments.frames)}
+    films = {"still": (still_film(arguments.frames),), "panned": (panned_film(arguments.frames),), **films}
     table = []
-    for name, (film, known) in films.items():
-        table.append(measured(name, film, known))
+    for name, (film, *known) in films.items():
+        table.append(measured(name, film, *known))
         print(json.dumps(table[-1]), flush=True)
         if arguments.films:
             arguments.films.mkdir(parents=True, exist_ok=True)
             out, _ = relit(film)
             for k in range(0, len(film), 5):
-                shown = np.hstack([film[k], out[k], *([known[k]] if known else [])])
+                shown = np.hstack([film[k], out[k], *([known[0][k]] if known else [])])
                 cv2.imwrite(str(arguments.films / f"{name.replace(' ', '_')}_{k:03d}.png"), shown[..., ::-1])
     if arguments.long:
         table.append(long_film(arguments.long))

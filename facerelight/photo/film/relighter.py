@@ -7,8 +7,10 @@ is, where the person ends, and the pixels.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from itertools import chain
 from typing import NamedTuple
 
@@ -82,7 +84,6 @@ class FilmRelighter:
         self.warnings: dict[str, None] = {}
         self.source_angles: tuple[float, float] | None = None
         self._kept: dict[int, tuple[Evidence, SteadyMatte]] = {}
-        self._pool = ThreadPoolExecutor(max(1, torch.get_num_threads()))
 
     def frames(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
         """The ``pictures`` relit, in their order; those without a face stay as they are.
@@ -90,6 +91,22 @@ class FilmRelighter:
         Raises:
             ValueError: lights that cannot be used.
         """
+        threads = torch.get_num_threads()
+        if threads < 2:
+            for job in self._jobs(pictures):
+                yield job()
+            return
+        with ThreadPoolExecutor(threads) as pool:  # frames are lit beside the search for the next ones
+            begun: deque[Future[Picture]] = deque()
+            for job in self._jobs(pictures):
+                begun.append(pool.submit(job))
+                while len(begun) > MOST_BETWEEN:
+                    yield begun.popleft().result()
+            while begun:
+                yield begun.popleft().result()
+
+    def _jobs(self, pictures: Iterable[Picture]) -> Iterator[Callable[[], Picture]]:
+        """What gives each picture of the new film, in order."""
         waiting: list[_Pending] = []
         key: Key | None = None
         for tracked in chain(follow(pictures, self.choose), [None]):
@@ -103,7 +120,7 @@ class FilmRelighter:
                 break
             self.seen, self.shots = self.seen + 1, tracked.shot + 1
             if tracked.face is None:
-                yield tracked.picture
+                yield partial(Picture, *tracked.picture)
                 continue
             self.lit += 1
             lamps = lamps_at(self.lighting.lamps, tracked.picture.time)
@@ -117,13 +134,10 @@ class FilmRelighter:
                     yield from self._between(waiting[:-1], key, made, len(waiting) - 1)
                 waiting, key = waiting[-1:], made
 
-    def _between(self, waiting: list[_Pending], one: Key, two: Key, steps: int) -> Iterator[Picture]:
-        """The frames from key ``one`` on, ``steps`` before key ``two``."""
-        jobs = [
-            self._pool.submit(self._relit, pending, one, two, k / max(steps, 1)) for k, pending in enumerate(waiting)
-        ]
-        for job in jobs:
-            yield job.result()
+    def _between(self, waiting: list[_Pending], one: Key, two: Key, steps: int) -> Iterator[Callable[[], Picture]]:
+        """What gives the frames from key ``one`` on, ``steps`` before key ``two``."""
+        for k, pending in enumerate(waiting):
+            yield partial(self._relit, pending, one, two, k / max(steps, 1))
 
     @torch.inference_mode()
     def _relit(self, pending: _Pending, one: Key, two: Key, share: float) -> Picture:
