@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run_film"]
 
-FOR_PHOTOS = ("variance", "same_person", "resume")
+FOR_PHOTOS = ("variance", "same_person", "resume", "explain")
 
 
 def run_film(arguments: Namespace, moving: list[MovingLamp], request: Request, load: Load) -> int:
@@ -139,5 +139,5 @@ def _report(film: FilmRelighter, lost: list[str], seconds: float) -> dict[str, A
         "keys": film.keys,
         "seconds": round(seconds, 3),
         "frames_per_second": round(film.seen / max(seconds, 1e-9), 3),
-        "warnings": [*lost, *said, *film.warnings],
+        "warnings": [*lost, *said, *film.warnings.values()],
     }

@@ -81,7 +81,7 @@ class FilmRelighter:
         self.relighter = relighter or load_relighter()
         self._known: tuple[Method, Tensor | None] = method, source_light
         self.seen = self.lit = self.keys = self.shots = 0
-        self.warnings: dict[str, None] = {}
+        self.warnings: dict[str, str] = {}  # the first of each kind
         self.source_angles: tuple[float, float] | None = None
         self._kept: dict[int, tuple[Evidence, SteadyMatte]] = {}
 
@@ -157,7 +157,8 @@ class FilmRelighter:
         evidence, steady = self._kept[tracked.shot]
         frame = FilmFrame(tracked.picture.pixels, tracked.face, evidence, steady, key)
         if key:
-            self.warnings |= dict.fromkeys(line.split(":")[0] for line in frame.warnings)
+            for line in frame.warnings:
+                self.warnings.setdefault(line.split(":")[0], f"from {tracked.picture.time:.1f} s on, {line}")
             self.source_angles = self.source_angles or frame.source_angles
         return frame
 

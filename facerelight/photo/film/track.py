@@ -89,6 +89,7 @@ class _Tracker:
             yield from self.close(lost=False)
             self.shot, self.without, self.last = self.shot + 1, 0, None
         face = follow_face(pixels, self.last) if self.filter is not None and self.last is not None else None
+        face = face if _lies_in(face, pixels) else None
         if face is None and (self.without + self.missed) % SEARCH_EVERY == 0:
             face = self._searched(pixels)
             if face is not None and self.filter is not None and self._jumped(face):
@@ -132,16 +133,18 @@ class _Tracker:
             share = min(share, self.given / (FADE + 1))
         scores = (entry.found.score, entry.found.mesh_score) if entry.found else (1.0, 1.0)
         face = face_of_points(points, entry.picture.pixels.shape, *scores)
+        if not _lies_in(face, entry.picture.pixels):
+            return Tracked(entry.picture, None, 0.0, self.shot, self.run)
         return Tracked(entry.picture, face, share * share * (3 - 2 * share), self.shot, self.run)
 
     def _searched(self, pixels: np.ndarray) -> Face | None:
         """The face that is meant: near where it was, else as :attr:`choose` says."""
         if self.last is not None:
-            near = [face for face in find_faces(pixels) if face.points is not None and not self._jumped(face)]
+            near = [face for face in find_faces(pixels) if _lies_in(face, pixels) and not self._jumped(face)]
             if near:
                 return near[0]
         face = self.choose(pixels)
-        return None if face is None or face.points is None else face
+        return face if _lies_in(face, pixels) else None
 
     def _jumped(self, face: Face) -> bool:
         assert self.last is not None
@@ -157,3 +160,12 @@ class _Tracker:
         differs = float(np.abs(thumb - before).mean())
         usual, self.usual = self.usual, max(0.8 * self.usual + 0.2 * differs, 1.0)
         return differs > CUT and differs > SUDDEN * usual
+
+
+def _lies_in(face: Face | None, pixels: np.ndarray) -> bool:
+    """Whether eyes and mouth of a face with dense points are in the picture."""
+    if face is None or face.points is None:
+        return False
+    height, width = pixels.shape[:2]
+    x, y = face.landmarks.T
+    return bool(min(x.min(), y.min()) >= -0.5 and x.max() <= width - 0.5 and y.max() <= height - 0.5)
