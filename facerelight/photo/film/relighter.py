@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import copy
 from functools import partial
 from itertools import chain
 from typing import NamedTuple
@@ -109,13 +110,14 @@ class FilmRelighter:
         """What gives each picture of the new film, in order."""
         waiting: list[_Pending] = []
         key: Key | None = None
+        shaped, age = None, 0  # the frame whose bust is lit, and for how many frames it has been
         for tracked in chain(follow(pictures, self.choose), [None]):
             over = tracked is None or tracked.face is None or (waiting and tracked.run != waiting[-1].tracked.run)
             if over and waiting:
                 assert key is not None
                 last = make_key(waiting[-1].frame, self._light(waiting[-1])) if len(waiting) > 1 else key
                 yield from self._between(waiting, key, last, len(waiting) - 1)
-                waiting, key = [], None
+                waiting, key, shaped = [], None, None
             if tracked is None:
                 break
             self.seen, self.shots = self.seen + 1, tracked.shot + 1
@@ -124,11 +126,12 @@ class FilmRelighter:
                 continue
             self.lit += 1
             lamps = lamps_at(self.lighting.lamps, tracked.picture.time)
-            first = waiting[0] if waiting else None
-            is_key = first is None or len(waiting) >= MOST_BETWEEN or self._differs(first, tracked, lamps)
-            waiting.append(_Pending(tracked, self._frame(tracked, is_key), lamps))
-            if is_key:
-                made = make_key(waiting[-1].frame, self._light(waiting[-1]))
+            anew = shaped is None or age >= MOST_BETWEEN or self._turned(shaped, tracked)
+            waiting.append(_Pending(tracked, self._frame(tracked, anew), lamps))
+            shaped, age = (waiting[-1], 1) if anew else (shaped, age + 1)
+            if anew or largest_step(waiting[0].lamps, lamps) > LAMP_MOVED:
+                assert shaped is not None
+                made = make_key(shaped.frame, self._light(waiting[-1]))
                 self.keys += 1
                 if key is not None:
                     yield from self._between(waiting[:-1], key, made, len(waiting) - 1)
@@ -143,7 +146,7 @@ class FilmRelighter:
     def _relit(self, pending: _Pending, one: Key, two: Key, share: float) -> Picture:
         tracked, frame, _ = pending
         light = between_keys(frame, one, two, share)
-        person = frame.person
+        person = copy(frame.person)  # a key's own stays for the keys to come
         person.skin = light.skin
         log_ratio = person.follow(light.log_ratio, light.exposure)
         strength = self.lighting.strength * tracked.share
@@ -166,11 +169,9 @@ class FilmRelighter:
         own = [pending.frame.light] if self.lighting.add else []
         return scene_light([*own, *pending.lamps], self.lighting.fill)
 
-    def _differs(self, first: _Pending, tracked: Tracked, lamps: list[Source]) -> bool:
-        """Whether a new key is wanted."""
-        assert tracked.face is not None
-        pose, before = tracked.face.pose, first.tracked.face.pose if first.tracked.face else None
-        if pose is None or before is None:
+    def _turned(self, shaped: _Pending, tracked: Tracked) -> bool:
+        """Whether the head stands so differently that its bust is made anew."""
+        poses = [one.face.pose for one in (shaped.tracked, tracked) if one.face is not None]
+        if len(poses) < 2 or poses[0] is None or poses[1] is None:
             return True
-        turned = angle_between(pose.rotation, before.rotation) > TURNED
-        return turned or largest_step(first.lamps, lamps) > LAMP_MOVED
+        return angle_between(poses[0].rotation, poses[1].rotation) > TURNED
