@@ -14,7 +14,7 @@ class Progress:
     """Counts photos, or other things, that ended.
 
     Args:
-        total: of them in all.
+        total: of them in all, 0 where that is not known.
         stream: takes the lines.
         what: they are called.
 
@@ -48,6 +48,7 @@ class Progress:
         rate = self.done / max(seconds, 1e-9)
         left = round(max(self.total - self.done, 0) / max(rate, 1e-9))
         failed = f", {self.failed} failed" if self.failed else ""
-        return (
-            f"{self.done} of {self.total} {self.what}{failed}, {rate:.2g} a second, {left // 60}:{left % 60:02d} left"
-        )
+        if not self.total:
+            return f"{self.done} {self.what}{failed}, {rate:.2g} a second"
+        done = f"{self.done} of {self.total} {self.what}{failed}"
+        return f"{done}, {rate:.2g} a second, {left // 60}:{left % 60:02d} left"
