@@ -61,7 +61,10 @@ def run_film(arguments: Namespace, moving: list[MovingLamp], request: Request, l
 
             raise LandmarksNotFoundError(f"{source}: found no face in any of {film.seen} frames")
 
-    lost = convert_film(source, output, change)
+    try:
+        lost = convert_film(source, output, change)
+    finally:
+        progress.end()
     report = {"film": str(source), "output": [str(output)], **_report(film, lost, time.perf_counter() - started)}
     for line in report["warnings"]:
         print(f"facerelight: {source}: {line}", file=sys.stderr)

@@ -43,6 +43,11 @@ class Progress:
         self.stream.write(f"\r\033[K{line}" + "\n" * (self.done == self.total) if terminal else f"{line}\n")
         self.stream.flush()
 
+    def end(self) -> None:
+        """Nothing more comes, though the total said otherwise."""
+        if self.stream.isatty() and self.done != self.total:
+            self.stream.write("\n")
+
     def line(self, seconds: float) -> str:
         """What is done after so many ``seconds``, how fast, and what time is left."""
         rate = self.done / max(seconds, 1e-9)
