@@ -284,6 +284,7 @@ def test_relight_takes_a_film(tmp_path: Path, portrait: np.ndarray, capsys: pyte
     [
         (["film.mp4", "--variance", "v.png"], 2, "variance: expected photos with it, got a film"),
         (["film.mp4", "--face", "all"], 2, "face: expected one face of a film"),
+        (["film.mp4", "--method", "mle"], 2, "method: expected 'expected' or 'map' for a film"),
         (["film.mp4", "--azimuth", "0", "30"], 2, "expected one light for a film"),
         (["film.mp4", "--output", "film.gif"], 2, "expected a film's name"),
         (["film.mp4", "--output", "film.mp4", "--force"], 2, "is the film itself"),

@@ -84,6 +84,8 @@ def _check(arguments: Namespace, moving: list[MovingLamp], request: Request) -> 
         raise ValueError(f"{given[0].replace('_', '-')}: expected photos with it, got a film")
     if request.face == "all":
         raise ValueError("face: expected one face of a film, the largest or a number, got all")
+    if request.method == "mle":
+        raise ValueError("method: expected 'expected' or 'map' for a film, whose light is one, got 'mle'")
     if len(request.scenes) > 1:
         raise ValueError(f"lights: expected one light for a film, got {len(request.scenes)} pairs of angles")
     others = [name for name in ("studio", "environment", "light_of", "even") if getattr(arguments, name)]
