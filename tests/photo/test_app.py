@@ -50,6 +50,15 @@ def test_bad_options_are_said(words: list[str], capsys: pytest.CaptureFixture[st
     assert "expected" in capsys.readouterr().err
 
 
+def test_without_gradio_it_is_said_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "environ", dict(os.environ))
+    monkeypatch.setitem(sys.modules, "gradio", None)
+    assert main(["app"]) == 3
+    assert 'the app needs Gradio; pip install "facerelight[app]"' in capsys.readouterr().err
+
+
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The app in a process of its own, and its address."""

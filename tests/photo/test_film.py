@@ -2,6 +2,7 @@
 it on a few frames."""
 
 import json
+import sys
 from pathlib import Path
 
 import cv2
@@ -316,3 +317,13 @@ def test_films_are_known_by_their_names() -> None:
     assert is_film("a.strange", "b.mkv")
     assert not is_film("a.jpg", "b.mp4")
     assert not is_film("a.strange")
+
+
+def test_without_pyav_it_is_said_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("film.mp4").touch()
+    monkeypatch.setitem(sys.modules, "av", None)
+    assert main(["relight", "film.mp4"]) == 3
+    assert 'films need PyAV; pip install "facerelight[video]"' in capsys.readouterr().err
