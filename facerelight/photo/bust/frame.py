@@ -8,6 +8,7 @@ part is a window around the bust.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -85,10 +86,14 @@ class Window:
     crop: CropFrame
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """x and y of every pixel of the copy in bust coordinates, ``(h, w)`` float32 each."""
-        column, row = np.meshgrid(np.arange(self.size[1], dtype=np.float32), np.arange(self.size[0], dtype=np.float32))
-        x, y = (self.to_bust[k, 0] * column + self.to_bust[k, 1] * row + self.to_bust[k, 2] for k in range(2))
-        return x, y
+        """x and y of every pixel of the copy in bust coordinates, ``(h, w)`` float32 each; do not write into them."""
+        return self._places
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        column, row = np.arange(self.size[1], dtype=np.float64), np.arange(self.size[0], dtype=np.float64)[:, None]
+        x, y = (self.to_bust[k, 0] * column + (self.to_bust[k, 1] * row + self.to_bust[k, 2]) for k in range(2))
+        return x.astype(np.float32), y.astype(np.float32)
 
     def fade(self) -> np.ndarray:
         """1 on the bust, going over into 0 towards the window's ends, ``(h, w)``: a person may go on beyond them."""
