@@ -126,7 +126,8 @@ def relit(film: Sequence[np.ndarray]) -> tuple[list[np.ndarray], FilmRelighter]:
 
 def measured(
     name: str, film: Sequence[np.ndarray], truth: Sequence[np.ndarray] | None = None, head: np.ndarray | None = None
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """What is told of a film, and the film relit."""
     started, used = time.perf_counter(), time.process_time()
     out, relighter = relit(film)
     seconds, used = time.perf_counter() - started, time.process_time() - used
@@ -158,7 +159,7 @@ def measured(
         row["error of a frame"] = f"{np.sqrt(np.square(areas(error)[:, person]).mean()):.2f}"
         row["flicker of the error, areas"] = f"{flicker(areas(error), person):.3f}"
     row["first frame from the still path"] = f"{np.abs(out[0] - first).mean():.2f}"
-    return {**row, **cost(len(film), seconds, used)}
+    return {**row, **cost(len(film), seconds, used)}, out
 
 
 def cost(frames: int, seconds: float, used: float) -> dict[str, str]:
@@ -227,11 +228,12 @@ def main() -> None:
     films = {"still": (still_film(arguments.frames),), "panned": (panned_film(arguments.frames),), **films}
     table = []
     for name, (film, *known) in films.items():
-        table.append(measured(name, film, *known))
-        print(json.dumps(table[-1]), flush=True)
+        row, out = measured(name, film, *known)
+        table.append(row)
+        parser.save_rows(arguments.csv, table)  # so far
+        print(json.dumps(row), flush=True)
         if arguments.films:
             arguments.films.mkdir(parents=True, exist_ok=True)
-            out, _ = relit(film)
             for k in range(0, len(film), 5):
                 shown = np.hstack([film[k], out[k], *([known[0][k]] if known else [])])
                 cv2.imwrite(str(arguments.films / f"{name.replace(' ', '_')}_{k:03d}.png"), shown[..., ::-1])
