@@ -144,7 +144,8 @@ def measured(
         beside = before
     person = (np.abs(after - before).max(-1) > 0).mean(0) > 0.9
     if head is not None:
-        person, beside = head, as_bright(beside, after, head)
+        person, plain = head, before - as_bright(beside, before, head)
+        beside = as_bright(beside, after, head)
     if name == "panned":
         person[:12] = person[-12:] = False
         person[:, :12] = person[:, -12:] = False
@@ -157,6 +158,7 @@ def measured(
     if truth is not None:
         error = after - beside
         row["error of a frame"] = f"{np.sqrt(np.square(areas(error)[:, person]).mean()):.2f}"
+        row["error of the film as it is"] = f"{np.sqrt(np.square(areas(plain)[:, person]).mean()):.2f}"
         row["flicker of the error, areas"] = f"{flicker(areas(error), person):.3f}"
     row["first frame from the still path"] = f"{np.abs(out[0] - first).mean():.2f}"
     return {**row, **cost(len(film), seconds, used)}, out
