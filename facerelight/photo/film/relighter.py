@@ -7,9 +7,12 @@ is, where the person ends, and the pixels.
 
 from __future__ import annotations
 
+import ctypes
+import gc
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from copy import copy
 from functools import partial
 from itertools import chain
@@ -129,6 +132,8 @@ class FilmRelighter:
             anew = shaped is None or age >= MOST_BETWEEN or self._turned(shaped, tracked)
             waiting.append(_Pending(tracked, self._frame(tracked, anew), lamps))
             shaped, age = (waiting[-1], 1) if anew else (shaped, age + 1)
+            if anew:
+                _give_back_memory()
             if anew or largest_step(waiting[0].lamps, lamps) > LAMP_MOVED:
                 assert shaped is not None
                 made = make_key(shaped.frame, self._light(waiting[-1]))
@@ -175,3 +180,10 @@ class FilmRelighter:
         if len(poses) < 2 or poses[0] is None or poses[1] is None:
             return True
         return angle_between(poses[0].rotation, poses[1].rotation) > TURNED
+
+
+def _give_back_memory() -> None:
+    """What was freed goes back to the system: the allocator of Linux keeps it, in pieces that fit no new map."""
+    gc.collect()
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
