@@ -26,7 +26,7 @@ from facerelight.geometry.lights import angles_from_light, light_from_angles
 from facerelight.geometry.sources import Lamp, LightMixture, lights_behind, scene_light
 from facerelight.inference.methods import Method
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
+from facerelight.photo.bust.frame import BUST, FINE, LARGEST_SIDE, Window, compose, crop_to_bust, working_window
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import to_scene
@@ -147,6 +147,9 @@ class PhotoRelighter:
         LandmarksNotFoundError: no face was found.
     """
 
+    _person = Person
+    _largest_side = LARGEST_SIDE
+
     def __init__(
         self,
         photo: np.ndarray,
@@ -174,10 +177,9 @@ class PhotoRelighter:
         with self._log.measure("model", "the face's statistics"):
             others = ((as_rgb(other), locate_face(as_rgb(other), None, None)[0]) for other in more)
             crops = [aligned.crop, *(self._align(pixels, found.landmarks).crop for pixels, found in others)]
-            rotation = None if self._points is None else head_rotation(self._points)
-            self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
+            self.model = self._conditioned(crops, source_light, method)
         shown, mask = (aligned.copy, aligned.scene, self.window), self.model.mask.numpy()
-        self.person = Person(*shown, self.face.points, mask, self._log, self._exhaustive)
+        self.person = self._person(*shown, self.face.points, mask, self._log, self._exhaustive)
 
     # -- what is known of the photo
 
@@ -282,7 +284,8 @@ class PhotoRelighter:
         marched = ratio.shading.marches
         with self._log.measure("light", f"a new light of {len(light.directions)} points"):
             log_ratio = self.window.back(ratio(light).astype(np.float32), FINE).reshape(*self.window.size, -1)
-            log_ratio, change = self.person.follow(log_ratio)
+            exposure, change = self.person.expose(log_ratio)
+            log_ratio = self.person.follow(log_ratio, exposure)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
         person = self.person
@@ -317,6 +320,15 @@ class PhotoRelighter:
         part = out[self.window.rows, self.window.columns]
         part[...] = cv2.resize(image, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return out
+
+    def _conditioned(self, crops: list[Tensor], source_light: Tensor | None, method: Method) -> FaceModel:
+        """What the model knows of the face in ``crops (3, h, w)``, this photo's first."""
+        return FaceModel(self.relighter, crops, source_light, method, self._rotation)
+
+    @cached_property
+    def _rotation(self) -> np.ndarray | None:
+        """How the head is turned, ``(3, 3)`` in bust coordinates."""
+        return None if self._points is None else head_rotation(self._points)
 
     @cached_property
     def _to_bust(self) -> np.ndarray:
@@ -359,7 +371,7 @@ class PhotoRelighter:
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> _Aligned:
         """The window around a face, its copy, and the model's crop of it."""
         matrix = fit_similarity(check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
-        window = working_window(pixels.shape, matrix, self.frame)
+        window = working_window(pixels.shape, matrix, self.frame, self._largest_side)
         copy = small_copy(pixels, window)
         scene = to_scene(copy)
         crop = torch.from_numpy(np.ascontiguousarray(window.onto_crop(scene).transpose(2, 0, 1)))

@@ -15,8 +15,8 @@ from facerelight.geometry.lights import angular_distance
 from facerelight.numerics.luminance import LUMINANCE
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.colour import to_scene
+from facerelight.photo.face_model import in_front
 from facerelight.photo.layers.decomposition import Decomposition
-from facerelight.photo.layers.face import in_front
 from facerelight.photo.layers.lambert import LambertSphere
 from facerelight.photo.session import PhotoRelighter
 

@@ -21,9 +21,9 @@ from facerelight.photo.bust.frame import FINE, Window, blur, crop_onto
 from facerelight.photo.bust.mesh import unit_vectors
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.colour import LUMA, TOE, developed, to_scene
-from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel
+from facerelight.photo.face_model import MISFIT, MIXTURE_SIZE, FaceModel, in_front
 from facerelight.photo.files.pixels import scale_of
-from facerelight.photo.layers.face import FaceParts, in_front, take_apart
+from facerelight.photo.layers.face import FaceParts, take_apart
 from facerelight.photo.layers.highlights import OwnSkin, own_skin, without_highlights
 from facerelight.photo.layers.own_light import OwnLight, light_colours
 from facerelight.photo.person import Person

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -16,7 +15,7 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.covariance import prior_mean
 from facerelight.photo.layers.lambert import LambertSphere
 
-__all__ = ["FaceParts", "in_front", "take_apart"]
+__all__ = ["FaceParts", "take_apart"]
 
 DRAWS = 12  # of the face's light
 NORMAL_ERROR, REFLECTANCE_ERROR = 12.0, 0.14
@@ -53,14 +52,6 @@ class FaceParts(NamedTuple):
             return 0.0
         away = angular_distance(normalize(self.draws.vector, dim=-1), self.direction.expand(len(self.draws.amounts), 3))
         return float(away.double().square().mean().sqrt())
-
-
-def in_front(directions: np.ndarray, rotation: np.ndarray) -> Tensor:
-    """``directions (P, 3)`` as a head that is turned by ``rotation (3, 3)`` sees them, those behind it at its nearest
-    side, ``(P, 3)``."""
-    front = directions.astype(np.float64) @ rotation
-    front[:, 2] = np.maximum(front[:, 2], 0)
-    return torch.from_numpy(front / np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)).float()
 
 
 def take_apart(relighter: StatisticalRelighter, image: Tensor, mask: Tensor, noise: float) -> FaceParts:
