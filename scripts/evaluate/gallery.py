@@ -13,7 +13,9 @@ enrolled alone. seconds: finding the face, describing it and comparing it with e
 """
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -35,15 +37,30 @@ FAR = 0.01
 EVEN = Lamp(0, 0, size=40)  # light from everywhere before the face
 LIGHTS = [Lamp(azimuth, elevation, size=15) for azimuth, elevation in ((0, 0), (50, 10), (-50, 10), (0, 45), (0, -35))]
 TURN, SCALE = 10.0, 1.3
-Scores = tuple[torch.Tensor, torch.Tensor, Levels, bool, float]
+
+
+class Split(NamedTuple):
+    """The people ``known (M,)`` are enrolled: scores of probes ``(P, M)`` with each person's best template, minus
+    infinity for who is not known, and of the known themselves ``(M, M)``, as strangers would score."""
+
+    known: torch.Tensor
+    probes: torch.Tensor
+    enrolled: torch.Tensor
+
+
+class Scores(NamedTuple):
+    """With everybody enrolled, with every other person, and with the rest; the recogniser's levels; seconds a probe."""
+
+    splits: list[Split]
+    levels: Levels
+    personal: bool
+    seconds: float
 
 
 def compare(
     recognizer: Recognizer, seen: list[tuple[Shot, Face | None]], relighter: StatisticalRelighter, relight: str
 ) -> Scores:
-    """Scores of probes ``(P, M)`` and of the enrolled ``(M, M)`` with each person's best template, the recogniser's
-    levels, and seconds a probe."""
-    templates, owners, enrolled = [], [], []
+    one_by_one, owners = [], []
     for shot, face in seen:
         if not shot.enrolled:
             continue
@@ -52,56 +69,82 @@ def compare(
         if relight == "gallery":
             session = PhotoRelighter(shot.photo, None, relighter, face=face)
             photos += [session.render(lamp) for lamp in LIGHTS]
-        templates += [recognizer.enroll(photo, face) for photo in photos]
+        one_by_one += [recognizer.enroll(photo, face) for photo in photos]
         owners += [shot.person] * len(photos)
-        enrolled.append(templates[-len(photos)]["probe"][0])
-    index = recognizer.index({part: torch.cat([one[part] for one in templates]) for part in templates[0]})
+    templates = {part: torch.cat([one[part] for one in one_by_one]) for part in one_by_one[0]}
     people = torch.tensor(owners)
+    everybody = people.unique()
+    photographs = [int((people == person).nonzero()[0]) for person in everybody]
 
-    def scored(probe: torch.Tensor) -> torch.Tensor:
-        found, rows = index.search(probe, len(owners))
-        empty = torch.full((len(enrolled),), -torch.inf)
-        return empty.scatter_reduce(0, people[rows], found, "amax")
+    def table(probes: Sequence[torch.Tensor | None], known: torch.Tensor) -> torch.Tensor:
+        """Scores ``(P, M)`` of probes with the people ``known (M,)`` alone enrolled."""
+        rows = known[people].nonzero()[:, 0]
+        found = torch.full((0, len(everybody)), -torch.inf)
+        if len(rows):
+            index = recognizer.index({part: values[rows] for part, values in templates.items()}, people[rows])
+        for probe in probes:
+            line = torch.full((len(everybody),), -torch.inf)
+            if len(rows) and probe is not None:
+                scores, best = index.search(probe, len(rows))
+                line = line.scatter_reduce(0, people[rows[best]], scores, "amax")
+            found = torch.cat((found, line[None]))
+        return found
 
-    started, rows = time.perf_counter(), []
-    for shot, face in seen:
-        if shot.enrolled:
-            continue
+    def described(shot: Shot, face: Face | None) -> torch.Tensor | None:
         if face is None:
-            rows.append(torch.full((len(enrolled),), -torch.inf))
-            continue
-        photo = shot.photo
+            return None
         if relight == "probe":
-            photo = PhotoRelighter(photo, None, relighter, face=face).render(EVEN, fill=1.0)
-        rows.append(scored(recognizer.describe(photo, face)))
-    seconds = (time.perf_counter() - started) / len(rows)
-    own = torch.stack([scored(probe) for probe in enrolled])
-    return torch.stack(rows), own, recognizer.levels, recognizer.personal, seconds
+            lit = PhotoRelighter(shot.photo, None, relighter, face=face).render(EVEN, fill=1.0)
+            return recognizer.describe(lit, face)
+        return recognizer.describe(shot.photo, face)
+
+    def as_strangers(known: torch.Tensor) -> torch.Tensor:
+        others = [known & (everybody != person) for person in everybody]
+        rows = [table([templates["probe"][row]], who) for row, who in zip(photographs, others, strict=True)]
+        return torch.cat(rows).nan_to_num(neginf=0)
+
+    started = time.perf_counter()
+    probes = [described(shot, face) for shot, face in seen if not shot.enrolled]
+    even = everybody % 2 == 0
+    first = table(probes, even | ~even)
+    seconds = (time.perf_counter() - started) / len(probes)
+    tables = [(even | ~even, first), (even, table(probes, even)), (~even, table(probes, ~even))]
+    splits = [Split(known, scores, as_strangers(known)) for known, scores in tables]
+    return Scores(splits, recognizer.levels, recognizer.personal, seconds)
 
 
 def summary(scores: Scores, owners: torch.Tensor) -> dict[str, float]:
-    probes, enrolled, levels, personal, seconds = scores
-    even = torch.arange(len(enrolled)) % 2 == 0
-    halves = [open_set(probes, owners, enrolled, known, levels, personal, FAR) for known in (even, ~even)]
-    each = [
-        {
-            "eer": equal_error(half.genuine, half.strangers),
-            "far1": identified_at(half.genuine, half.strangers, FAR),
-            "let_in": float((half.strangers >= half.threshold).double().mean()),
-            "named": float((half.genuine >= half.threshold).double().mean()),
-        }
-        for half in halves
-    ]
-    figures = {"rank1": 100 * rank_one(standardised(probes, enrolled, levels, personal), owners)}
+    _, probes, enrolled = scores.splits[0]
+    how = scores.levels, scores.personal
+    each = []
+    for split in scores.splits[1:]:
+        half = open_set(split.probes, owners, split.enrolled, split.known, *how, FAR)
+        each.append(
+            {
+                "eer": equal_error(half.genuine, half.strangers),
+                "far1": identified_at(half.genuine, half.strangers, FAR),
+                "let_in": float((half.strangers >= half.threshold).double().mean()),
+                "named": float((half.genuine >= half.threshold).double().mean()),
+            }
+        )
+    figures = {"rank1": 100 * rank_one(standardised(probes, enrolled, *how), owners)}
     figures |= {name: 50 * sum(half[name] for half in each) for name in each[0]}
-    return {name: round(value, 2) for name, value in figures.items()} | {"seconds": round(seconds, 4)}
+    figures |= {f"eer_{which}": 100 * half["eer"] for which, half in zip(("even", "odd"), each, strict=True)}
+    return {name: round(value, 2) for name, value in figures.items()} | {"seconds": round(scores.seconds, 4)}
 
 
 def summed(one: Scores, other: Scores) -> Scores:
-    """The sum rule (Kittler et al. 1998) over standardised scores."""
-    probes = standardised(one[0], *one[1:4]) + standardised(other[0], *other[1:4])
-    enrolled = standardised(one[1], *one[1:4]) + standardised(other[1], *other[1:4])
-    return probes, enrolled, Levels(0.0, 2**0.5, 1.0, 0.0), False, one[4] + other[4]
+    """The sum rule (Kittler et al. 1998) over scores standardised by who is enrolled."""
+    splits = []
+    for parts in zip(one.splits, other.splits, strict=True):
+        known = parts[0].known
+        probes, enrolled = torch.zeros_like(parts[0].probes), torch.zeros_like(parts[0].enrolled)
+        for split, (_, levels, personal, _) in zip(parts, (one, other), strict=True):
+            own = split.enrolled[known][:, known]
+            probes[:, known] += standardised(split.probes[:, known], own, levels, personal)
+            enrolled[:, known] += standardised(split.enrolled[:, known], own, levels, personal)
+        splits.append(Split(known, probes.masked_fill(~known, -torch.inf), enrolled))
+    return Scores(splits, Levels(0.0, 2**0.5, 1.0, 0.0), False, one.seconds + other.seconds)
 
 
 def main() -> None:

@@ -86,7 +86,7 @@ class IndividualRecognizer:
         relit = warp_to_crop(relit[None], up[None], FINE)[0]
         return torch.cat((keep_detail(relit, fine, 1.0), fine[None]))
 
-    def index(self, templates: Template) -> Index:
+    def index(self, templates: Template, owners: Tensor) -> Index:
         """All are compared."""
         return _AllSubspaces(templates, self._features)
 
