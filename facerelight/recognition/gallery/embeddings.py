@@ -21,7 +21,7 @@ VERSION = 1
 EXACT = 10_000  # templates: more are searched by FAISS where it is installed
 CANDIDATES = 200  # that are compared exactly
 TRAINED_ON = 100_000
-SFACE_LEVELS = Levels(0.164, 0.088, 2.17, -8.11)
+SFACE_LEVELS = Levels(0.025, 0.086, 2.15, -8.02)
 
 
 class EmbeddingRecognizer:
