@@ -8,6 +8,10 @@ import torch
 from conftest import MeanColour, marked_face
 from scipy.stats import t as student
 
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.blur import gaussian_blur
+from facerelight.recognition.gallery import individual
 from facerelight.recognition.gallery.calibration import calibrate, stranger_scores
 from facerelight.recognition.gallery.embeddings import (
     CompressedIndex,
@@ -16,6 +20,7 @@ from facerelight.recognition.gallery.embeddings import (
     NormalizedIndex,
 )
 from facerelight.recognition.gallery.gallery import Gallery
+from facerelight.recognition.gallery.individual import IndividualRecognizer
 from facerelight.recognition.gallery.recognizer import Levels
 
 LEVELS = Levels(0.2, 0.1, 1.5, -5.0)
@@ -141,6 +146,23 @@ def test_scores_less_what_everybody_shares() -> None:
     assert torch.equal(rows, expected.topk(4).indices)
     gaps = torch.tensor([0, 0, 9])  # numbers may be missing
     assert torch.isfinite(NormalizedIndex(ExactIndex(vectors[:3]), gaps).search(probe, 3)[0]).all()
+
+
+def test_the_thesiss_scores_less_what_a_probe_shares_with_others(statistics: FaceStatistics) -> None:
+    """Darkening or noise that lowers every score leaves the margin; another photograph of the likeliest is no other."""
+    recognizer = IndividualRecognizer(StatisticalRelighter(statistics))
+    generator = torch.Generator().manual_seed(0)
+    probe = gaussian_blur(torch.rand(1, 240, 210, generator=generator), 3.0)[0]
+    same = individual._modules(recognizer._features(individual._views(probe)[:1]))
+    noise = torch.randn(5, *same[:, 0].shape, generator=generator) * same.std()
+    mean = torch.cat((same.transpose(0, 1), same.transpose(0, 1) + 0.2 * noise[:1], noise[1:]))
+    basis = torch.zeros(*mean.shape, 1)
+    found, rows = recognizer.index({"mean": mean, "basis": basis}, torch.tensor([0, 0, 1, 2, 3, 4])).search(probe, 6)
+    apart, _ = recognizer.index({"mean": mean, "basis": basis}, torch.arange(6)).search(probe, 6)
+    assert rows[:2].tolist() == [0, 1]
+    raw = apart - apart[0] + 1  # the first is the probe itself
+    expected = raw - (raw[2:].sum() + 5 * individual.STRANGERS) / 9
+    assert torch.allclose(found, expected, atol=1e-4)
 
 
 def test_people_score_as_strangers_without_themselves() -> None:

@@ -23,22 +23,24 @@ from facerelight.photo.faces.landmarks import Face
 from facerelight.recognition.classifier import moved
 from facerelight.recognition.embedding import warp
 from facerelight.recognition.exemplars import exemplar_lights
+from facerelight.recognition.gallery.calibration import PRIOR_PEOPLE
 from facerelight.recognition.gallery.recognizer import Index, Levels, Template
 from facerelight.recognition.photometric import WeberFaces
 from facerelight.recognition.subspaces import principal_subspace
 
 __all__ = ["IndividualRecognizer", "NearestPhotoRecognizer"]
 
-VERSION = 4
+VERSION = 5
 PROBE = CropFrame(240, 210, 0.125)  # a pixel of the canonical crop each, with room to move
 FINE = CropFrame(128, 112)  # two thirds of that: where pictures are compared
 FINEST = 2 / 3  # pixels of FINE: the finest contrast that counts
 MODULES = (6, 5)  # down, across
-DIMENSION = 9
+DIMENSION = 4
 TURNS, SCALES, SHIFT = (-1.5, 0.0, 1.5), (0.975, 1.0, 1.025), 2  # degrees, factors, pixels of FINE
 FACE = 0.95  # of the outline; hair and background are left out ...
 LEAST = 0.3  # ... and modules of which less than that is face
 TOGETHER = 64  # templates compared at once
+STRANGERS = 0.177  # cosine of different people of CMU PIE, for where few are enrolled
 PIE_LEVELS = Levels(0.178, 0.015, 1.25, -2.27)
 
 
@@ -88,7 +90,7 @@ class IndividualRecognizer:
 
     def index(self, templates: Template, owners: Tensor) -> Index:
         """All are compared."""
-        return _AllSubspaces(templates, self._features)
+        return _AllSubspaces(templates, owners, self._features)
 
 
 class NearestPhotoRecognizer(IndividualRecognizer):
@@ -106,15 +108,21 @@ class NearestPhotoRecognizer(IndividualRecognizer):
 
 
 class _AllSubspaces:
-    def __init__(self, templates: Template, features: nn.Module) -> None:
+    """Scores are cosines less what the probe has in common with everybody but the likeliest person (T-norm,
+    Auckenthaler et al. 2000): in hard light it resembles nobody, and in a soft one all."""
+
+    def __init__(self, templates: Template, owners: Tensor, features: nn.Module) -> None:
         self.mean, self.basis, self._features = templates["mean"], templates["basis"], features
+        self.owners = owners
 
     def search(self, probe: Tensor, count: int) -> tuple[Tensor, Tensor]:
         views = _modules(self._features(_views(probe)))  # (B, V, D)
         parts = zip(self.mean.split(TOGETHER), self.basis.split(TOGETHER), strict=True)
         scores = torch.cat([_cosines(views, mean, basis) for mean, basis in parts])
         best = scores.topk(min(count, len(scores)))
-        return best.values, best.indices
+        others = scores[self.owners != self.owners[best.indices[0]]]
+        common = (others.sum() + PRIOR_PEOPLE * STRANGERS) / (len(others) + PRIOR_PEOPLE)
+        return best.values - common, best.indices
 
 
 def _cosines(views: Tensor, mean: Tensor, basis: Tensor) -> Tensor:
