@@ -92,10 +92,10 @@ class EmbeddingFeatures(nn.Module):
         coded = srgb_bytes(faces[:, 0])
         keys = [hashlib.sha256(one).digest() for one in coded]
         new = {key: row for row, key in enumerate(keys) if key not in self._known}
-        if new or not keys:
+        if new:
             vectors = self.embedding(np.repeat(coded[list(new.values()), ..., None], 3, axis=3))
             self._known |= dict(zip(new, vectors, strict=True))
-        return (torch.stack([self._known[key] for key in keys]) if keys else vectors)[:, None]
+        return torch.stack([self._known[key] for key in keys])[:, None]
 
 
 def _bytes(images: Tensor) -> list[np.ndarray]:
