@@ -28,13 +28,17 @@ from facerelight.geometry.sources import Lamp
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.photo import PhotoRelighter
 from facerelight.photo.faces.landmarks import Face
-from facerelight.recognition.gallery.embeddings import EmbeddingRecognizer, ExactIndex
-from facerelight.recognition.gallery.individual import IndividualRecognizer, NearestPhotoRecognizer
+from facerelight.recognition.gallery.embeddings import EmbeddingRecognizer
+from facerelight.recognition.gallery.individual import (
+    IndividualRecognizer,
+    NearestPhotoRecognizer,
+    SubspaceIndex,
+    leave_out_shared,
+)
 from facerelight.recognition.gallery.recognizer import Levels, Recognizer
 from facerelight.recognition.sface import SFace, sface_weights
 
 FAR = 0.01
-COSINES = Levels(0.164, 0.088, 2.17, -8.11)
 EVEN = Lamp(0, 0, size=40)  # light from everywhere before the face
 LIGHTS = [Lamp(azimuth, elevation, size=15) for azimuth, elevation in ((0, 0), (50, 10), (-50, 10), (0, 45), (0, -35))]
 TURN, SCALE = 10.0, 1.3
@@ -56,13 +60,6 @@ class Scores(NamedTuple):
     levels: Levels
     personal: bool
     seconds: float
-
-
-class Cosines(EmbeddingRecognizer):
-    """What the normalisation of scores is worth is measured against it."""
-
-    def index(self, templates: dict[str, torch.Tensor], owners: torch.Tensor) -> ExactIndex:
-        return ExactIndex(templates["probe"])
 
 
 def halved(people: int, count: int | None) -> list[torch.Tensor]:
@@ -95,20 +92,26 @@ def compare(
     templates = {part: torch.cat([one[part] for one in one_by_one]) for part in one_by_one[0]}
     people = torch.tensor(owners)
     everybody = people.unique()
-    photographs = [int((people == person).nonzero()[0]) for person in everybody]
+    index = recognizer.index(templates, people)
+
+    def compared(probe: torch.Tensor | None) -> torch.Tensor | None:
+        """With every template, ``(M,)``, once for all who may be enrolled."""
+        if probe is None:
+            return None
+        if isinstance(index, SubspaceIndex):
+            return index.cosines(probe)
+        scores, rows = index.search(probe, len(people))
+        return torch.empty_like(scores).index_copy_(0, rows, scores)
 
     def table(probes: Sequence[torch.Tensor | None], known: torch.Tensor) -> torch.Tensor:
-        """Scores ``(P, M)`` of probes with the people ``known (M,)`` alone enrolled."""
+        """Scores ``(P, M)`` of probes, as :func:`compared`, with the people ``known (M,)`` alone enrolled."""
         rows = known[people].nonzero()[:, 0]
-        found = torch.full((0, len(everybody)), -torch.inf)
-        if len(rows):
-            index = recognizer.index({part: values[rows] for part, values in templates.items()}, people[rows])
-        for probe in probes:
-            line = torch.full((len(everybody),), -torch.inf)
+        found = torch.full((len(probes), len(everybody)), -torch.inf)
+        for line, probe in zip(found, probes, strict=True):
             if len(rows) and probe is not None:
-                scores, best = index.search(probe, len(rows))
-                line = line.scatter_reduce(0, people[rows[best]], scores, "amax")
-            found = torch.cat((found, line[None]))
+                own = probe[rows]
+                scores = leave_out_shared(own, people[rows]) if isinstance(index, SubspaceIndex) else own
+                line.scatter_reduce_(0, people[rows], scores, "amax")
         return found
 
     def described(shot: Shot, face: Face | None) -> torch.Tensor | None:
@@ -121,11 +124,13 @@ def compare(
 
     def as_strangers(known: torch.Tensor) -> torch.Tensor:
         others = [known & (everybody != person) for person in everybody]
-        rows = [table([templates["probe"][row]], who) for row, who in zip(photographs, others, strict=True)]
+        rows = [table([one], who) for one, who in zip(photographs, others, strict=True)]
         return torch.cat(rows).nan_to_num(neginf=0)
 
+    firsts = [int((people == person).nonzero()[0]) for person in everybody]
+    photographs = [compared(templates["probe"][row]) for row in firsts]
     started = time.perf_counter()
-    probes = [described(shot, face) for shot, face in seen if not shot.enrolled]
+    probes = [compared(described(shot, face)) for shot, face in seen if not shot.enrolled]
     all_of_them = torch.ones(len(everybody), dtype=torch.bool)
     first = table(probes, all_of_them)
     seconds = (time.perf_counter() - started) / len(probes)
@@ -179,7 +184,7 @@ def main() -> None:
         "--every", action="store_true", help="all other good images of Yale B as probes, not six lights"
     )
     parser.add_argument("--halves", type=int, metavar="N", help="random halves of the people for the open set")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="of them; also sface_cosines, sface_probe_relit")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="of them; also sface_probe_relit")
     parser.add_results("csv", "json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
@@ -203,9 +208,8 @@ def main() -> None:
     }
     if sface_weights():
         sface = EmbeddingRecognizer(SFace())
-        made |= {"sface_cosines": (Cosines(SFace(), COSINES), "")}
         made |= {"sface": (sface, ""), "sface_gallery_relit": (sface, "gallery"), "sface_probe_relit": (sface, "probe")}
-    plain = [name for name in made if name not in ("sface_probe_relit", "sface_cosines")]
+    plain = [name for name in made if name != "sface_probe_relit"]
     wanted = args.only or [*plain, *(["sface+individual_pca", "sface+nearest_photo"] if sface_weights() else [])]
     unknown = {part for name in wanted for part in name.split("+")} - set(made)
     if unknown:

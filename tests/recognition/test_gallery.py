@@ -13,12 +13,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.blur import gaussian_blur
 from facerelight.recognition.gallery import individual
 from facerelight.recognition.gallery.calibration import calibrate, stranger_scores
-from facerelight.recognition.gallery.embeddings import (
-    CompressedIndex,
-    EmbeddingRecognizer,
-    ExactIndex,
-    NormalizedIndex,
-)
+from facerelight.recognition.gallery.embeddings import CompressedIndex, EmbeddingRecognizer, ExactIndex
 from facerelight.recognition.gallery.gallery import Gallery
 from facerelight.recognition.gallery.individual import IndividualRecognizer
 from facerelight.recognition.gallery.recognizer import Levels
@@ -133,21 +128,6 @@ def gathered(people: int, photos: int, generator: torch.Generator) -> tuple[torc
     return torch.nn.functional.normalize(centres[owners] + noise, dim=1), owners
 
 
-def test_scores_less_what_everybody_shares() -> None:
-    """Against means worked out one by one; a person with many photographs counts once."""
-    vectors, owners = gathered(7, 3, torch.Generator().manual_seed(0))
-    kept = torch.cat((torch.arange(3), torch.arange(5, 21)))  # the second person has one photograph
-    vectors, owners = vectors[kept], owners[kept]
-    mean = torch.stack([vectors[owners == person].mean(0) for person in range(7)]).sum(0) / (7 + 5)
-    probe = torch.nn.functional.normalize(torch.randn(128, generator=torch.Generator().manual_seed(1)), dim=0)
-    expected = torch.stack([one @ probe - (one @ mean + probe @ mean) / 2 for one in vectors])
-    found, rows = NormalizedIndex(ExactIndex(vectors), owners).search(probe, 4)
-    assert torch.allclose(found, expected.topk(4).values, atol=1e-6)
-    assert torch.equal(rows, expected.topk(4).indices)
-    gaps = torch.tensor([0, 0, 9])  # numbers may be missing
-    assert torch.isfinite(NormalizedIndex(ExactIndex(vectors[:3]), gaps).search(probe, 3)[0]).all()
-
-
 def test_the_thesiss_scores_less_what_a_probe_shares_with_others(statistics: FaceStatistics) -> None:
     """Darkening or noise that lowers every score leaves the margin; another photograph of the likeliest is no other."""
     recognizer = IndividualRecognizer(StatisticalRelighter(statistics))
@@ -170,8 +150,7 @@ def test_people_score_as_strangers_without_themselves() -> None:
     vectors, owners = gathered(4, 2, torch.Generator().manual_seed(0))
     scores = stranger_scores(recognizer, {"probe": vectors}, owners)
     assert (scores[owners[:, None] == owners] == 0).all()
-    without = NormalizedIndex(ExactIndex(vectors[2:]), owners[2:])
-    found, rows = without.search(vectors[1], 6)
+    found, rows = ExactIndex(vectors[2:]).search(vectors[1], 6)
     assert torch.allclose(scores[1, 2:][rows], found)
     alone = stranger_scores(recognizer, {"probe": vectors[:2]}, owners[:2])
     assert torch.equal(alone, torch.zeros(2, 2))
@@ -190,7 +169,6 @@ def test_the_compressed_index_finds_what_an_exact_search_finds() -> None:
     recognizer, owners = EmbeddingRecognizer(MeanColour()), torch.arange(20_000)
     for count, kind in ((20_000, CompressedIndex), (10_000, ExactIndex)):
         index = recognizer.index({"probe": vectors[:count]}, owners[:count])
-        assert isinstance(index, NormalizedIndex)
-        assert isinstance(index.index, kind)
+        assert isinstance(index, kind)
     with pytest.raises(ValueError, match="vectors: expected"):
         CompressedIndex(vectors[:9])

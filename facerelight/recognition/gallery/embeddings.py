@@ -1,5 +1,4 @@
-"""Faces compared by an embedding: cosines less what everybody shares, exact up to ten thousand templates, by a
-compressed index beyond."""
+"""Faces compared by an embedding: cosines, exact up to ten thousand templates, by a compressed index beyond."""
 
 from __future__ import annotations
 
@@ -12,20 +11,19 @@ from torch import Tensor
 
 from facerelight.photo.faces.landmarks import Face
 from facerelight.recognition.embedding import Embedding, aligned_crop
-from facerelight.recognition.gallery.calibration import PRIOR_PEOPLE
 from facerelight.recognition.gallery.recognizer import Index, Levels, Template
 
-__all__ = ["CompressedIndex", "EmbeddingRecognizer", "ExactIndex", "NormalizedIndex"]
+__all__ = ["CompressedIndex", "EmbeddingRecognizer", "ExactIndex"]
 
 VERSION = 1
 EXACT = 10_000  # templates: more are searched by FAISS where it is installed
 CANDIDATES = 200  # that are compared exactly
 TRAINED_ON = 100_000
-SFACE_LEVELS = Levels(0.025, 0.086, 2.15, -8.02)
+SFACE_LEVELS = Levels(0.148, 0.089, 2.13, -8.23)
 
 
 class EmbeddingRecognizer:
-    """Cosine between embeddings, less half of what probe and template each have in common with the people enrolled.
+    """Cosine between embeddings.
 
     Args:
         embedding: such as :class:`facerelight.recognition.sface.SFace`.
@@ -55,8 +53,7 @@ class EmbeddingRecognizer:
     def index(self, templates: Template, owners: Tensor) -> Index:
         """Exact for up to ten thousand templates, and where FAISS is not installed."""
         vectors = templates["probe"]
-        compressed = len(vectors) > EXACT and find_spec("faiss")
-        return NormalizedIndex(CompressedIndex(vectors) if compressed else ExactIndex(vectors), owners)
+        return CompressedIndex(vectors) if len(vectors) > EXACT and find_spec("faiss") else ExactIndex(vectors)
 
 
 class ExactIndex:
@@ -74,37 +71,6 @@ class ExactIndex:
         """See :class:`facerelight.recognition.gallery.recognizer.Index`."""
         best = (self.vectors @ probe).topk(min(count, len(self.vectors)))
         return best.values, best.indices
-
-
-class NormalizedIndex:
-    """Scores of another index less the mean of what template and probe score with other people, the symmetric
-    normalisation of Kenny (2010) without its scale. Some faces, and some lights, resemble everybody's.
-
-    Those other people are the ones enrolled, each the mean of their vectors. The mean of so few is drawn towards none:
-    towards 0, by as much as strangers who are alike by chance would draw it.
-
-    Args:
-        index: of M vectors; scores are inner products.
-        owners: ``(M,)`` numbers, whose the vectors are.
-
-    Example:
-        >>> index = NormalizedIndex(ExactIndex(torch.eye(3)), torch.arange(3))
-        >>> index.search(torch.tensor([0.0, 1.0, 0.0]), 1)[0]
-        tensor([0.8750])
-    """
-
-    def __init__(self, index: ExactIndex | CompressedIndex, owners: Tensor) -> None:
-        self.index = index
-        counts = owners.bincount()
-        people = int((counts > 0).sum())
-        share = 1 / (counts[owners] * (people + PRIOR_PEOPLE))
-        self._half = (share.to(index.vectors) @ index.vectors) / 2
-
-    def search(self, probe: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """See :class:`facerelight.recognition.gallery.recognizer.Index`."""
-        # e.q - (e.m + q.m) / 2, of template e, probe q and mean m: the best e is that of q - m / 2
-        scores, rows = self.index.search(probe - self._half, count)
-        return scores - probe @ self._half, rows
 
 
 class CompressedIndex:
