@@ -144,7 +144,7 @@ def leave_out_shared(cosines: Tensor, owners: Tensor) -> Tensor:
 
     Example:
         >>> leave_out_shared(torch.tensor([0.7, 0.2, 0.3]), torch.arange(3))
-        tensor([ 0.4940, -0.0060,  0.0940])
+        tensor([ 0.4943, -0.0057,  0.0943])
     """
     others = cosines[owners != owners[cosines.argmax()]]
     return cosines - (others.sum() + PRIOR_PEOPLE * STRANGERS) / (len(others) + PRIOR_PEOPLE)
