@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from facerelight.augment import RandomFaceRelight
     from facerelight.config import TrainConfig
     from facerelight.geometry.lights import angles_from_light, light_from_angles
     from facerelight.geometry.sources import Lamp, LightMixture
@@ -47,6 +48,7 @@ _HOMES = {
     "LikelihoodIlluminationEstimator": "light.likelihood",
     "NearestNeighborClassifier": "recognition.nearest",
     "PhotoRelighter": "photo",
+    "RandomFaceRelight": "augment",
     "SoftLightEstimator": "light.amounts",
     "StatisticalRelighter": "inference.relighter",
     "SumClassifier": "recognition.classifier",
@@ -78,6 +80,7 @@ __all__ = [
     "LikelihoodIlluminationEstimator",
     "NearestNeighborClassifier",
     "PhotoRelighter",
+    "RandomFaceRelight",
     "SoftLightEstimator",
     "StatisticalRelighter",
     "SumClassifier",

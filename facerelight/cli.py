@@ -1,4 +1,4 @@
-"""``facerelight train | relight | viewer | recognize``: the package from a terminal.
+"""``facerelight train | relight | viewer | app | decompose | augment | recognize``: the package from a terminal.
 
 Exit codes: 0 done; 1 nothing found, or a part of several photos failed; 2 bad input; 3 the program or machine failed.
 """
@@ -27,6 +27,9 @@ VERBS = {
     "train": "render heads and learn statistics",
     "relight": "relight photos",
     "viewer": "write a page in which a portrait is lit by hand",
+    "app": "serve a page that takes photos and lights them",
+    "decompose": "take a portrait apart: reflectance, shading, normals, its own light",
+    "augment": "write a training set of faces again, relit",
     "recognize": "recognise people from one photo each",
 }
 
@@ -38,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         verb = _verb(given[:1])
-        return {"train": _train, "relight": _relight, "viewer": _viewer, "recognize": _recognize}[verb](given[1:])
+        return RUN[verb](given[1:])
     except SystemExit as leaving:  # a parser has said why
         return int(leaving.code or 0)
     except ValueError as error:
@@ -168,6 +171,25 @@ def _viewer(argv: list[str]) -> int:
     return run_viewer(viewer_parser().parse_args(join_values(argv)), _statistics_folder)
 
 
+def _decompose(argv: list[str]) -> int:
+    from facerelight.photo.layers.command import decompose_parser, run_decompose
+    from facerelight.photo.scenes import join_values
+
+    return run_decompose(decompose_parser().parse_args(join_values(argv)), _statistics_folder)
+
+
+def _app(argv: list[str]) -> int:
+    from facerelight.photo.app.command import app_parser, run_app
+
+    return run_app(app_parser().parse_args(argv), _statistics_folder)
+
+
+def _augment(argv: list[str]) -> int:
+    from facerelight.augment.command import augment_parser, run_augment
+
+    return run_augment(augment_parser().parse_args(argv), _statistics_folder)
+
+
 def _recognize(argv: list[str]) -> int:
     from facerelight.recognition.gallery.command import recognize_parser, run_recognize
 
@@ -188,6 +210,16 @@ def _statistics_folder(given: str | None, quality: str) -> Path:
 
     return trained_folder(config)
 
+
+RUN = {
+    "train": _train,
+    "relight": _relight,
+    "viewer": _viewer,
+    "app": _app,
+    "decompose": _decompose,
+    "augment": _augment,
+    "recognize": _recognize,
+}
 
 if __name__ == "__main__":
     sys.exit(main())

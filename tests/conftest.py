@@ -87,3 +87,41 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = Path(__file__).parent.parent / "configs" / "tiny.yaml"
     assert main(["train", "--config", str(config), "--output", str(path), "--workers", "0"]) == 0
     return path
+
+
+@pytest.fixture(scope="session")
+def packaged():
+    """The relighter of the package's own statistics."""
+    from facerelight.photo.face_model import load_relighter
+
+    return load_relighter()
+
+
+@pytest.fixture(scope="session")
+def quick(packaged):
+    """A coarse fast path of it."""
+    from facerelight.augment.quick import QuickRelighter
+
+    return QuickRelighter(packaged, block=4, cells=24)
+
+
+@pytest.fixture(scope="session")
+def crops(packaged):
+    """``crops(azimuth, elevation)``: six people of the packaged model's own code, linear radiance ``(6, 1, 112, 112)``
+    in ArcFace's frame."""
+    from facerelight.augment.frames import FaceWarp, frame_landmarks
+    from facerelight.geometry.lights import light_from_angles
+    from facerelight.model.light_terms import light_terms, loadings_at
+    from facerelight.photo.face_model import crop_frame
+
+    statistics = packaged.statistics
+    code = 0.7 * torch.randn(6, 40, generator=torch.Generator().manual_seed(4))
+
+    def at(azimuth: float, elevation: float) -> torch.Tensor:
+        light = light_from_angles(azimuth, elevation)[None]
+        terms = light_terms(statistics, statistics.face.residual, light, statistics.face)
+        images = (terms.mean + code @ loadings_at(statistics.face, terms)[0]).unflatten(1, statistics.size)
+        frame = frame_landmarks("arcface112", 112, 112)[None]
+        return FaceWarp(frame, (112, 112), crop_frame(packaged)).to_crop(images.clamp(0.01, 1)[:, None])
+
+    return at

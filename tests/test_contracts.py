@@ -3,7 +3,7 @@
 A toy of each role is added by the public recipe and held to the same promises.
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from facerelight.light.likelihood import LikelihoodIlluminationEstimator
 from facerelight.model.statistics import FaceStatistics
 from facerelight.recognition import registry
 from facerelight.recognition.classifier import Classifier
+from facerelight.recognition.photometric import make_normalizer
 from facerelight.recognition.registry import (
     GalleryImages,
     Recipe,
@@ -74,7 +75,8 @@ class Glow(Effect):
 def toy_classifier() -> Iterator[str]:
     @register("toy", pairwise=True)
     def _make(gallery: GalleryImages, recipe: Recipe) -> Classifier:
-        return MeanDistance(shift=gallery.shift).fit(gallery.photos, gallery.people)
+        normalizer = make_normalizer(recipe.normalizer)
+        return MeanDistance(normalizer, shift=gallery.shift).fit(gallery.photos, gallery.people)
 
     yield "toy"
     del registry._METHODS["toy"]
@@ -220,6 +222,33 @@ def test_every_registered_classifier(
         fewer = fit_classifier(name, few)
         places = [classifier.classes_.index(person) for person in fewer.classes_ or []]
         assert torch.allclose(fewer.decision_function(probes), scores[:, places], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", [*table_names(), "gaussian_9", "toy"])
+def test_a_normalisation_in_a_name_is_used(
+    gallery: tuple[GalleryImages, torch.Tensor], toy_classifier: str, name: str
+) -> None:
+    """Who ignores it would stand in a row that says otherwise."""
+    images, probes = gallery
+    dimmed = probes * torch.linspace(0.1, 1, 21)  # which Weber's contrast hardly sees
+    plain, normal = fit_classifier(name, images), fit_classifier(f"{name}+weber", images)
+    assert plain.view_key() != normal.view_key()
+    change = normal.decision_function(dimmed) - normal.decision_function(probes)
+    assert change.diagonal().abs().max() < normal.decision_function(probes).std()
+    assert not torch.allclose(plain.decision_function(dimmed), normal.decision_function(dimmed), rtol=1e-2)
+
+
+def test_classifiers_of_one_key_share_their_probes(
+    gallery: tuple[GalleryImages, torch.Tensor], toy_classifier: str
+) -> None:
+    images, probes = gallery
+    names = [name + more for name in (*NAMES[:-2], "toy") if is_pairwise(name) for more in ("", "+weber", "+unit")]
+    views: dict[Hashable, list[torch.Tensor]] = {}
+    for name in names:
+        classifier = fit_classifier(name, images)
+        shared = views.setdefault(classifier.view_key(), list(classifier.views(probes)))
+        assert torch.equal(classifier.compare(shared), classifier.decision_function(probes)), name
+    assert len(views) == 3
 
 
 def test_a_classifier_registers_once(toy_classifier: str) -> None:

@@ -17,6 +17,7 @@ ROOMS = (
     "config",
     "photo",
     "train",
+    "augment",
     "viewpoint",
     "recognition",
     "evaluation",

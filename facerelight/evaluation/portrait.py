@@ -125,7 +125,8 @@ class PortraitTruth:
         scene = self.head.radiance(self.albedo, lamps, fill)
         return scene, float((scene[:ROWS] @ LUMA)[self.regions.face].mean())
 
-    def _photograph(self, scene: np.ndarray) -> np.ndarray:
+    def photograph(self, scene: np.ndarray) -> np.ndarray:
+        """What the camera makes of the head's radiance ``(HEIGHT, WIDTH, 3)`` before its backdrop, uint8."""
         return film(scene * self._matte + backdrop() * (1 - self._matte))[:ROWS]
 
     def case(self, source: str, lamp: Lamp, fill: float = FILL) -> Case:
@@ -135,8 +136,8 @@ class PortraitTruth:
         gain = EXPOSURE[self.tone] / level
         at_camera = self._face_luminance([Lamp(0, 0, lamp.size)], 0.0)[1]
         target = self.head.radiance(self.albedo, [lamp], fill)
-        truth = self._photograph(target * gain * level / at_camera)
-        return Case(self._photograph(scene * gain), truth, self.shadow_edges(lamp))
+        truth = self.photograph(target * gain * level / at_camera)
+        return Case(self.photograph(scene * gain), truth, self.shadow_edges(lamp))
 
     def shadow_edges(self, lamp: Lamp) -> np.ndarray:
         """Pixels of the face within 0.06 eye distances of where the lamp's first point comes into sight, ``(H, W)``.

@@ -6,6 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import torch
@@ -121,7 +122,7 @@ def evaluate_galleries(
         light_of = torch.full((len(faces.names),), -1).index_copy_(0, people, lights)
         probes = (light_of[faces.subject] >= 0) & (light_of[faces.subject] != faces.light)
         fitted = [name for name in classifiers if name not in tables]
-        images = _enroll(faces, grid, gallery, relighter, how, fitted) if fitted else None
+        images = _enroll(faces, grid, list(gallery.items()), relighter, how, fitted) if fitted else None
         for name in classifiers:
             started = time.perf_counter()
             if name in tables:
@@ -130,7 +131,7 @@ def evaluate_galleries(
                 seconds = rate * len(people) * int(probes.sum())
             else:
                 assert images is not None
-                found = torch.tensor(fit_classifier(name, images).predict(faces.images[probes]))
+                found = people[torch.tensor(fit_classifier(name, images).predict(faces.images[probes]))]
                 seconds = time.perf_counter() - started
             tallies[name].append(Tally(found == faces.subject[probes], faces.subset[probes], seconds))
     return tallies
@@ -150,13 +151,19 @@ def _score_tables(
     for gallery in galleries:
         for person, light in gallery.items():
             wanted[light].add(person)
+    pairs = {light: [(person, light) for person in sorted(people)] for light, people in wanted.items()}
+    everybody = list(chain(*pairs.values()))
+    relit = [name for name in classifiers if needs_exemplars(name)]
+    plain = [name for name in classifiers if name not in relit]
+    # Of photographs alone all are enrolled at once; relit pictures are too many for that.
+    batches = [(everybody, plain)] * bool(plain) + [(part, relit) for part in pairs.values()] * bool(relit)
     shape = len(faces.images), len(faces.names), len(faces.lights)
     tables = {name: torch.full(shape, -torch.inf) for name in classifiers}
     seconds: dict[str, float] = defaultdict(float)
     views: dict[Hashable, list[Tensor]] = {}
-    for light, people in wanted.items() if classifiers else ():
-        images = _enroll(faces, grid, dict.fromkeys(sorted(people), light), relighter, how, classifiers)
-        for name in classifiers:
+    for part, names in batches:
+        images = _enroll(faces, grid, part, relighter, how, names)
+        for name in names:
             classifier = fit_classifier(name, images)
             key = classifier.view_key()
             if key not in views:
@@ -164,26 +171,27 @@ def _score_tables(
             started = time.perf_counter()
             scores = classifier.compare(views[key])
             seconds[name] += time.perf_counter() - started
-            tables[name][:, torch.tensor(classifier.classes_), light] = scores
-    compared = shape[0] * sum(len(people) for people in wanted.values())
+            people, lights = torch.tensor(part)[torch.tensor(classifier.classes_)].T
+            tables[name][:, people, lights] = scores
+    compared = shape[0] * max(len(everybody), 1)
     return {name: (table, seconds[name] / compared) for name, table in tables.items()}
 
 
 def _enroll(
     faces: FaceImages,
     grid: Tensor,
-    gallery: dict[int, int],
+    pairs: list[tuple[int, int]],
     relighter: StatisticalRelighter,
     how: Enrolment,
     classifiers: list[str],
 ) -> GalleryImages:
-    """Training images, of all ``grid (people, lights, H, W)``, and their exemplars; none where no classifier asks for
-    them."""
-    photos = torch.stack([grid[person, light] for person, light in gallery.items()])
+    """Training images, by person and light of all ``grid (people, lights, H, W)``, numbered in order, and their
+    exemplars; none where no classifier asks for them."""
+    photos, numbers = torch.stack([grid[pair] for pair in pairs]), list(range(len(pairs)))
     if not any(map(needs_exemplars, classifiers)):
-        return GalleryImages(photos, list(gallery), photos[:, None][:, :0], how.shift)
-    given = None if how.estimated else torch.stack([faces.lights[light][None] for light in gallery.values()])
+        return GalleryImages(photos, numbers, photos[:, None][:, :0], how.shift)
+    given = None if how.estimated else torch.stack([faces.lights[light][None] for _, light in pairs])
     posterior = relighter.condition(photos[:, None], given, draws=8, register=how.register)
     lights, _ = exemplar_lights(how.exemplars)
     relit = synthesize(posterior, lights)
-    return GalleryImages(photos, list(gallery), relit, how.shift)
+    return GalleryImages(photos, numbers, relit, how.shift)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import torch
 
-__all__ = ["ScriptParser", "machine", "markdown", "read_rows"]
+__all__ = ["ScriptParser", "joined_rows", "machine", "markdown", "read_rows"]
 
 FACES = "yaleb_192x168.npz or a CroppedYale folder"
 
@@ -98,6 +98,36 @@ def read_rows(path: str | Path) -> list[dict[str, str]]:
     """The rows that :meth:`ScriptParser.save_rows` wrote, as text."""
     with Path(path).open(newline="") as file:
         return list(csv.DictReader(line for line in file if not line.startswith("# ")))
+
+
+def joined_rows(paths: Sequence[Path], keys: Sequence[str], count: str) -> list[dict[str, object]]:
+    """Rows of several files as one: those that agree in ``keys`` become their mean, weighted by the column ``count``,
+    which adds up; in the order in which they first occur.
+
+    Raises:
+        ValueError: no file, or one without a column.
+    """
+    found: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for path in paths:
+        for row in read_rows(path):
+            missing = [name for name in (*keys, count) if name not in row]
+            if missing:
+                raise ValueError(f"{path}: expected columns {', '.join((*keys, count))}, got none called {missing[0]}")
+            found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    if not found:
+        raise ValueError("join: expected files with rows, got none")
+    joined = []
+    for key, rows in found.items():
+        counts = [float(row[count]) for row in rows]
+        one: dict[str, object] = dict(zip(keys, key, strict=True)) | {count: round(sum(counts))}
+        for name in rows[0]:
+            if name not in one:
+                known = [(weight, row[name]) for weight, row in zip(counts, rows, strict=True) if row[name]]
+                digits = max((len(text.partition(".")[2]) for _, text in known), default=0)
+                mean = sum(weight * float(text) for weight, text in known) / max(sum(w for w, _ in known), 1e-12)
+                one[name] = round(mean, digits) if known else ""
+        joined.append(one)
+    return joined
 
 
 def markdown(rows: Sequence[Mapping[str, object]], bold: str | None = None) -> str:

@@ -15,7 +15,7 @@ from torch import Tensor
 from facerelight.geometry.lights import light_from_angles
 from facerelight.geometry.sources import LightMixture
 
-__all__ = ["environment_light", "even_light", "map_directions"]
+__all__ = ["environment_light", "even_light", "map_directions", "paint_environment"]
 
 BANDS = (4, 8, 12, 16, 16, 12, 8, 4)  # cells in bands of equal elevation: multiples of 4, so that quarter turns fit
 CELL = 20.0  # degrees, about the angular radius of a cell
@@ -65,6 +65,39 @@ def environment_light(radiance: Tensor, turn: float = 0.0, exposure: float = 0.0
 def even_light() -> LightMixture:
     """The same light from everywhere: a face without shading."""
     return environment_light(torch.ones(32, 64))
+
+
+def paint_environment(light: LightMixture, height: int = 128) -> Tensor:
+    """The map of a light, ``(height, 2 * height, 3)`` float32, linear: what :func:`environment_light` reads as that
+    light again, but for its strength.
+
+    Every point becomes a round glow whose standard deviation is half of its size, at least a pixel and a half; the
+    brightest pixel has 1. Lights whose points stand about as far apart as they are large run into one.
+
+    Args:
+        light: some light at least.
+        height: rows, 8 or more.
+
+    Raises:
+        ValueError: too few rows, or no light.
+
+    Example:
+        >>> paint_environment(even_light(), 16).shape
+        torch.Size([16, 32, 3])
+    """
+    if height < 8:
+        raise ValueError(f"environment: expected a map of at least 8 rows, got {height}")
+    if not light.weights.any():
+        raise ValueError("environment: expected some light, got none")
+    places = map_directions(height, 2 * height).flatten(0, 1)  # (P, 3)
+    solid = _solid_angles(height).repeat_interleave(2 * height)  # (P,)
+    width = torch.deg2rad((light.size.double() / 2).clamp_min(1.5 * 180 / height))  # (n,)
+    sharpness = 1 / width.square()
+    painted = torch.zeros(len(places), 3, dtype=torch.float64)
+    for direction, weight, sharp in zip(light.directions.double(), light.weights.double(), sharpness, strict=True):
+        glow = torch.exp(sharp * (places @ direction - 1))  # von Mises and Fisher's
+        painted += (glow / (glow @ solid))[:, None] * weight
+    return (painted / painted.max()).view(height, 2 * height, 3).float()
 
 
 def map_directions(height: int, width: int, turn: float = 0.0) -> Tensor:

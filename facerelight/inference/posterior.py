@@ -11,6 +11,7 @@ from torch import Tensor
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sources import LightMixture
 from facerelight.geometry.sums import LightSum, check_light_sum
+from facerelight.inference.normals import NormalPosterior, normal_posterior
 from facerelight.inference.person import PersonPosterior
 from facerelight.model.registration import undeform
 
@@ -85,6 +86,20 @@ class Posterior:
             [torch.stack([c[:, 0] for c, _ in p.codes]).mean(0).to(zero) if p.codes else zero for p in self.people]
         )
 
+    def normals(self) -> NormalPosterior:
+        """n, the normals times the albedo, of everybody: mean ``(B, 3, H, W)``, covariance ``(B, 3, 3, H, W)`` and what
+        the unknown brightness moves, ``(B, 3, H, W)``; radiance, see :class:`NormalPosterior`."""
+        if not self.people:
+            raise ValueError("normals: expected one person or more, got none")
+        parts = zip(*map(normal_posterior, self.people), strict=True)
+        mean, covariance, shared = (torch.stack(part).unflatten(-1, self.size) for part in parts)
+        if self.deformations is not None:
+            mean, covariance, shared = (
+                torch.stack([_undeformed(m, theta) for m, theta in zip(maps, self.deformations, strict=True)])
+                for maps in (mean, covariance, shared)
+            )
+        return NormalPosterior(mean, covariance, shared)
+
     def _render(self, what: str, target_lights: Lights) -> Tensor:
         targets = check_targets(target_lights, len(self.people))
         if self.people:
@@ -99,6 +114,12 @@ class Posterior:
         if self.deformations is not None:
             images = torch.stack([undeform(i, theta) for i, theta in zip(images, self.deformations, strict=True)])
         return images.clamp_min(0)
+
+
+def _undeformed(maps: Tensor, theta: Tensor) -> Tensor:
+    """``maps (..., H, W)`` where the face lies."""
+    flat = maps.flatten(0, -3)
+    return undeform(flat.to(theta), theta).to(maps).view_as(maps)
 
 
 def check_targets(target_lights: Lights, people: int) -> LightSum:

@@ -13,6 +13,7 @@ from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
 from facerelight.inference.methods import RELIGHTING_METHODS, Method
+from facerelight.inference.people import PeoplePosterior
 from facerelight.inference.person import PersonPosterior
 from facerelight.inference.posterior import Lights, Posterior, Relit, check_targets
 from facerelight.inference.source_lights import known_sums, middle_light, source_sums
@@ -128,21 +129,29 @@ class StatisticalRelighter(nn.Module):
             deformations, images, mask, noise = self._registered(images, hypotheses, mask, noise)
             if source_lights is None:  # once more, now that it is in step with the model
                 hypotheses = source_sums(None, images, draws, find)
-        shared = self._shared_terms(hypotheses)
-        people = [
-            PersonPosterior(
-                self.statistics,
-                person,
-                hypotheses[index],
-                self.covariance,
-                None if mask is None else mask[index],
-                noise[index],
-                self.noise / 255,
-                shared,
+
+        def one_by_one() -> list[PersonPosterior]:
+            shared = self._shared_terms(hypotheses)
+            return [
+                PersonPosterior(
+                    self.statistics,
+                    person,
+                    hypotheses[index],
+                    self.covariance,
+                    None if mask is None else mask[index],
+                    noise[index],
+                    self.noise / 255,
+                    shared,
+                )
+                for index, person in enumerate(images)
+            ]
+
+        if not register and not images.requires_grad and _single(hypotheses):
+            lights = unit_lights(hypotheses.directions[:, 0, 0, 0])
+            return PeoplePosterior(
+                self.statistics, self.covariance, images[:, 0], lights, noise[:, 0], mask, one_by_one, given.dtype
             )
-            for index, person in enumerate(images)
-        ]
-        return Posterior(people, self.statistics.size, deformations, given.dtype)
+        return Posterior(one_by_one(), self.statistics.size, deformations, given.dtype)
 
     def _shared_terms(self, lights: LightSum) -> DirectionTerms | None:
         """The terms of directions that all ``lights`` share, once for everybody; those of the bootstrap's lights are
@@ -346,3 +355,10 @@ class StatisticalRelighter(nn.Module):
                     f"{path}: expected a light estimator, got {error}; train anew with `facerelight train`"
                 ) from error
         return cls(statistics, covariance or ("face" if statistics.face is not None else "pixel"), estimator, noise)
+
+
+def _single(lights: LightSum) -> bool:
+    """Whether each of several people was seen under one known direction alone."""
+    one_each = lights.amounts.shape[0] > 1 and lights.amounts.shape[1:].numel() == 1
+    still = not (lights.directions.requires_grad or lights.amounts.requires_grad)
+    return one_each and not lights.shared and still and bool((lights.amounts == 1).all())

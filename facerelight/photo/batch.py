@@ -22,7 +22,16 @@ if TYPE_CHECKING:
     from facerelight.photo.files.photograph import PhotoFile
     from facerelight.photo.session import PhotoRelighter
 
-__all__ = ["DEFAULT_FOLDER", "Job", "Request", "choose_faces", "find_jobs", "is_batch", "relight_photo"]
+__all__ = [
+    "DEFAULT_FOLDER",
+    "Job",
+    "Request",
+    "choose_faces",
+    "find_jobs",
+    "is_batch",
+    "light_of_photo",
+    "relight_photo",
+]
 
 RESULT = "_relit"  # behind the name of a photo of a batch
 DEFAULT_OUTPUT, DEFAULT_FOLDER = "relit.png", "relit"
@@ -196,7 +205,7 @@ def _relight(
         known: dict[str, Any] = {"source_light": light, "more": more, "method": request.method, "face": face}
         return PhotoRelighter(pixels, request.landmarks, relighter, **known)
 
-    taken = [] if request.light_of is None else [_light_of(request.light_of, relighter)]
+    taken = [] if request.light_of is None else [light_of_photo(request.light_of, relighter)]
 
     def lights(of: PhotoRelighter, scene: Scene) -> list[Lamp | LightMixture]:
         return [*([of.light] if request.add else []), *taken, *scene.lamps]
@@ -226,7 +235,7 @@ def _relight(
     return report if len(faces) == 1 else {**report, "faces": faces}
 
 
-def _light_of(path: Path, relighter: StatisticalRelighter) -> LightMixture:
+def light_of_photo(path: Path, relighter: StatisticalRelighter) -> LightMixture:
     """The light of another photo, as fitted to its largest face."""
     from facerelight.photo.session import PhotoRelighter
 

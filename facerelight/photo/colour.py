@@ -13,7 +13,7 @@ import numpy as np
 
 from facerelight.numerics.luminance import LUMINANCE
 
-__all__ = ["LUMA", "SkinColour", "part_highlight", "relit_radiance", "to_display", "to_scene"]
+__all__ = ["LUMA", "TOE", "SkinColour", "developed", "part_highlight", "relit_radiance", "to_display", "to_scene"]
 
 LUMA = np.array(LUMINANCE, np.float32)
 ONES = np.ones(3, np.float32)
@@ -43,9 +43,9 @@ def to_display(scene: np.ndarray, before: np.ndarray | None = None) -> np.ndarra
             and so never clips;
             None: nothing is rolled off.
     """
-    linear = _developed(scene)
+    linear = developed(scene)
     if before is not None:
-        most, own = most_channel(linear)[..., None], most_channel(_developed(before))[..., None]
+        most, own = most_channel(linear)[..., None], most_channel(developed(before))[..., None]
         base = np.maximum(own, KNEE)
         room = np.maximum(WHITEST - base, 1e-3)
         rolled = np.minimum(base + room * (1 - np.exp(-np.maximum(most - base, 0) / room)), np.maximum(WHITEST, own))
@@ -54,7 +54,7 @@ def to_display(scene: np.ndarray, before: np.ndarray | None = None) -> np.ndarra
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(linear, 1 / 2.4) - 0.055).astype(np.float32)
 
 
-def _developed(scene: np.ndarray) -> np.ndarray:
+def developed(scene: np.ndarray) -> np.ndarray:
     """Linear display values of scene radiance: the camera's curve."""
     raised = np.power(np.maximum(scene, 0), TOE)
     return (1 + SHOULDER) * raised / (1 + SHOULDER * raised)

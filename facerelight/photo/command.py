@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from facerelight.inference.methods import RELIGHTING_METHODS
 from facerelight.photo.batch import DEFAULT_FOLDER, Job, Load, Request, find_jobs, is_batch, relight_photo
+from facerelight.photo.film.names import is_film
+from facerelight.photo.folder.share import Share, join_processes
 from facerelight.photo.scenes import (
     ENVIRONMENT,
     LAMP,
@@ -41,14 +43,16 @@ def relight_parser() -> ArgumentParser:
     """The options of ``facerelight relight``."""
     parser = ArgumentParser(
         prog="facerelight relight",
-        description="Relight the faces in photos.",
+        description="Relight the faces in photos, or a face in a film.",
         epilog=EPILOG,
         allow_abbrev=False,
     )
-    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, or a folder of them and of folders"
+    formats = "JPEG, PNG, TIFF, PPM, BMP, WebP or AVIF, a folder of them and of folders, or a film"
     parser.add_argument("photo", nargs="+", help=f"{formats}; several are relit each on its own")
     option = parser.add_argument_group("the new light").add_argument
-    option("--light", action="append", default=[], metavar="AZ,EL,...", help=f"a lamp, {LAMP}; repeat it for more")
+    moves = "a film's lamp with at=SECONDS moves from each such place to the next, lamp=NAME tells several apart"
+    lamp = f"a lamp, {LAMP}; repeat it for more; {moves}"
+    option("--light", action="append", default=[], metavar="AZ,EL,...", help=lamp)
     option("--azimuth", type=float, nargs="+", help="degrees, positive: light at image-left; several: several pictures")
     option("--elevation", type=float, nargs="+", help="degrees, positive: light above (default of both: 0)")
     option("--size", type=float, default=5.0, help="angular radius of lamps, degrees: 1 bulb, 15 soft box (default: 5)")
@@ -95,17 +99,38 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
         ValueError: options that cannot be used; with one photo also the photo.
         LandmarksNotFoundError: one photo, without a face.
     """
+    if len(arguments.photo) == 1 and is_film(arguments.photo[0], arguments.output):
+        from facerelight.photo.film.command import run_film
+        from facerelight.photo.film.lamps import take_moving
+
+        moving, arguments.light = take_moving(arguments.light, arguments.size)
+        return run_film(arguments, moving, _request(arguments), _loader(arguments, statistics_folder))
     request = _request(arguments)
     places = arguments.output, arguments.variance
     if arguments.workers < 1:
         raise ValueError(f"workers: expected at least 1 process, got {arguments.workers}")
     batch = is_batch(arguments.photo, arguments.same_person)
+    share = join_processes() if batch else Share()
     if arguments.resume and not batch:
         raise ValueError("resume: expected several photos, or a folder of them, got what makes one result")
     over = arguments.force or arguments.resume
     jobs = find_jobs(arguments.photo, request.scenes, *places, arguments.same_person, over)
+    share.wait()  # until all have seen that nothing is overwritten
     if len(jobs) > 1 and request.landmarks:
         raise ValueError(f"landmarks: expected one photo with them, got {len(jobs)}")
+
+    load = _loader(arguments, statistics_folder)
+    if batch:
+        load()  # what is wrong with the statistics is wrong with every photo
+        return _run_batch(jobs, request, load, arguments, statistics_folder, share)
+    report = relight_photo(jobs[0], request, load, _say)
+    _explain(report, arguments)
+    print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
+    return 0
+
+
+def _loader(arguments: Namespace, statistics_folder: Callable[[str | None, str], Path]) -> Load:
+    """Gives the relighter, read when it is first asked for."""
 
     @cache
     def load() -> StatisticalRelighter:
@@ -114,13 +139,7 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
         folder = statistics_folder(arguments.statistics, arguments.quality)
         return StatisticalRelighter.from_pretrained(folder, arguments.covariance)
 
-    if batch:
-        load()  # what is wrong with the statistics is wrong with every photo
-        return _run_batch(jobs, request, load, arguments, statistics_folder)
-    report = relight_photo(jobs[0], request, load, _say)
-    _explain(report, arguments)
-    print(json.dumps(report) if arguments.json else "\n".join(report["output"]))
-    return 0
+    return load
 
 
 def _run_batch(
@@ -129,13 +148,15 @@ def _run_batch(
     load: Load,
     arguments: Namespace,
     statistics_folder: Callable[[str | None, str], Path],
+    share: Share,
 ) -> int:
-    """Relight the photos, print a line for each that ended, and add it to the manifest."""
+    """Relight this process's share of the photos, print a line for each that ended, and add it to the manifest."""
     from facerelight.photo.folder.manifest import Manifest
     from facerelight.photo.folder.progress import Progress
     from facerelight.photo.folder.work import Model, relight_jobs
 
-    manifest = Manifest(Path(arguments.output or DEFAULT_FOLDER), request)
+    manifest = Manifest(Path(arguments.output or DEFAULT_FOLDER), request, share.rank)
+    jobs = share.of(jobs)
     wanted = manifest.left(jobs) if arguments.resume else jobs
     if len(wanted) < len(jobs):
         _say(f"{len(jobs) - len(wanted)} of {len(jobs)} photos were done before")
@@ -157,6 +178,10 @@ def _run_batch(
     except KeyboardInterrupt:
         _say("interrupted; the same command with --resume goes on")
         return INTERRUPTED
+    share.wait()
+    if share.rank == 0:
+        manifest.merge()
+    share.wait()  # torchrun ends all where one says that a photo failed
     failed = sum(code > 0 for code in codes)
     if failed:
         _say(f"{failed} of {len(wanted)} photos could not be relit; {manifest.path} says which and why")

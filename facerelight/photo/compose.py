@@ -7,6 +7,7 @@ Nothing outside the person's cover is touched, and no more memory is taken than 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -51,23 +52,48 @@ def change_pixels(pixels: np.ndarray, window: Window, changes: Changes) -> np.nd
 
     def change(top: int) -> None:
         strip = slice(window.rows.start + top, window.rows.start + min(top + rows, height)), window.columns
-        source = pixels[strip]
-        cover = _part(changes.cover, top, len(source), (height, width))[..., None]
-        if not cover.any():
+        source = np.ascontiguousarray(pixels[strip])
+        cover = _part(changes.cover, top, len(source), (height, width))
+        covered = np.flatnonzero(cover)
+        if not len(covered):
             return
-        maps = {name: _part(image, top, len(source), (height, width)) for name, image in per_pixel.items()}
-        colour = changes.skin._replace(**maps)
-        log_ratio = _part(changes.log_ratio, top, len(source), (height, width)).reshape(*cover.shape[:2], -1)
-        scene = to_scene(source.astype(np.float32) / np.float32(scale_of(pixels)))
-        ground = _part(changes.ground, top, len(source), (height, width))
-        person = _of_person(scene, cover, ground)
+
+        def of_person(image: np.ndarray) -> np.ndarray:
+            """``image (h', w', ...)`` at the covered pixels, ``(1, N, ...)``."""
+            return _taken(_part(image, top, len(source), (height, width)), covered)
+
+        colour = changes.skin._replace(**{name: of_person(image) for name, image in per_pixel.items()})
+        log_ratio = of_person(changes.log_ratio.reshape(*changes.log_ratio.shape[:2], -1))
+        log_ratio = log_ratio.reshape(1, log_ratio.shape[1], -1)
+        scene = _scene(_taken(source, covered))
+        person = _of_person(scene, _taken(cover, covered)[..., None], of_person(changes.ground))
         relit = relit_radiance(person, log_ratio, colour, changes.change)
         shown = to_display(scene + np.float32(changes.strength) * (relit - person), scene)
-        out[strip] = np.where(cover > 0, _coded(shown, pixels), source)
+        changed = source.copy().reshape(-1, 3)
+        changed[covered] = _coded(shown, pixels)[0]
+        out[strip] = changed.reshape(source.shape)
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         list(pool.map(change, range(0, height, rows)))
     return out
+
+
+def _taken(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """``image (h, w, ...)`` at ``places (N,)``, numbers of pixels, ``(1, N, ...)``."""
+    return np.take(image.reshape(-1, *image.shape[2:]), places, axis=0)[None]
+
+
+def _scene(pixels: np.ndarray) -> np.ndarray:
+    """Radiance of ``pixels (..., 3)`` of any dtype."""
+    if pixels.dtype == np.uint8:
+        return _byte_scene()[pixels]
+    return to_scene(pixels.astype(np.float32) / np.float32(scale_of(pixels)))
+
+
+@cache
+def _byte_scene() -> np.ndarray:
+    """Radiance of every code of a byte, ``(256,)``."""
+    return to_scene(np.arange(256, dtype=np.float32) / np.float32(255))
 
 
 def _of_person(scene: np.ndarray, cover: np.ndarray, ground: np.ndarray) -> np.ndarray:

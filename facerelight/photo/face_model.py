@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 from functools import cache, cached_property
 from typing import Literal, NamedTuple
 
@@ -31,7 +32,7 @@ from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
-__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "load_relighter"]
+__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "in_front", "load_relighter"]
 
 LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
@@ -96,6 +97,8 @@ class FaceModel:
         rotation: ``(3, 3)``, how the head is turned from the camera. A turned head under a lamp is shaded like one that
             looks ahead under the lamp turned back, and so the model sees all lights from the head; None: it looks
             ahead.
+        towards: ``(J, 3)`` unit vectors as the camera sees them, where the first photograph's light is looked for;
+            None: the statistics' own lights, about the head.
 
     Raises:
         ValueError: an unknown method, or too few photographs for it.
@@ -108,6 +111,7 @@ class FaceModel:
         source_light: Tensor | None = None,
         method: Method = "expected",
         rotation: np.ndarray | None = None,
+        towards: np.ndarray | None = None,
     ) -> None:
         if method not in RELIGHTING_METHODS:
             raise ValueError(f"method: expected one of {', '.join(RELIGHTING_METHODS)}, got {method!r}")
@@ -116,6 +120,8 @@ class FaceModel:
         self.luminance, self.mask = _luminance(crops[0]), face_mask(crops[0], self.frame)
         self.rotation = np.eye(3) if rotation is None else _relative(rotation, _looks_up(relighter))
         turn = torch.from_numpy(self.rotation).float()
+        self.towards = (self.lights @ turn.T) if towards is None else torch.from_numpy(towards).float()
+        self.lights = self.lights if towards is None else in_front(towards, self.rotation)
         known = None if source_light is None else source_light.reshape(3).to(turn) @ turn
         own = self._source(self.luminance, self.mask, known)
         sources, mask = [own], self.mask
@@ -133,10 +139,24 @@ class FaceModel:
         self.exposure = 1.0
         at_camera = float((torch.from_numpy(self.radiance(CAMERA.numpy())[0]) * self.mask).sum())
         self.exposure = float((self.luminance * self.mask).sum()) / max(at_camera, 1e-6) or 1.0
-        self.light = self._mixture(own.amounts)
+        self.amounts = own.amounts
+        self.light = self.mixture(own.amounts)
 
-    def _mixture(self, amounts: Tensor) -> LightMixture:
-        """The photograph's own light in units of a lamp that keeps its brightness."""
+    def posed(self, crop: Tensor, rotation: np.ndarray) -> FaceModel:
+        """The same person in the same light in another picture: nothing is conditioned anew.
+
+        Args:
+            crop: ``(3, h, w)`` scene radiance.
+            rotation: ``(3, 3)``, how the head is turned in it.
+        """
+        other = copy(self)
+        other.luminance, other.mask = _luminance(crop), face_mask(crop, self.frame)
+        other.rotation = _relative(rotation, _looks_up(self.relighter))
+        return other
+
+    def mixture(self, amounts: Tensor) -> LightMixture:
+        """The light of ``amounts (J,)`` from :attr:`towards`, in units of a lamp that keeps the photograph's
+        brightness."""
         kept = amounts > FAINT * amounts.sum()
         if not kept.any():
             return LightMixture(
@@ -144,9 +164,8 @@ class FaceModel:
             )
         count = int(kept.sum())
         weights = (amounts[kept] / self.exposure)[:, None].expand(-1, 3).contiguous()
-        directions = self.lights[kept] @ torch.from_numpy(self.rotation.T).float()
         return LightMixture(
-            directions, weights, torch.full((count,), MIXTURE_SIZE), torch.zeros(count, dtype=torch.long)
+            self.towards[kept], weights, torch.full((count,), MIXTURE_SIZE), torch.zeros(count, dtype=torch.long)
         )
 
     def _conditioned(
@@ -181,7 +200,7 @@ class FaceModel:
     def _source(self, luminance: Tensor, mask: Tensor, known: Tensor | None) -> SourceLight:
         """The light of one crop; with a ``known`` direction that alone, as strong as the fit says."""
         statistics = self.relighter.statistics
-        average = prior_mean(statistics, statistics.lights).unflatten(1, statistics.size).cpu()
+        average = prior_mean(statistics, self.lights.to(statistics.lights)).unflatten(1, statistics.size).cpu()
         amounts = fit_soft_light(average, luminance, mask)
         strength = float(amounts.sum())
         if strength < 1e-4:
@@ -222,7 +241,7 @@ class FaceModel:
         far enough to be reached.
         """
         seen = directions.astype(np.float64) @ self.rotation
-        side = _in_front(seen)
+        side = in_front(directions, self.rotation)
         radiance = (self.crops(side).clamp_min(0) * self.exposure).numpy()
         for one in np.flatnonzero(seen[:, 2] < 0):
             radiance[one] *= self._reached(seen[one], side[one].numpy())
@@ -242,7 +261,7 @@ class FaceModel:
 
     def std(self, direction: np.ndarray) -> np.ndarray:
         """Standard deviation of :meth:`radiance` under one light ``(3,)``, ``(h, w)``."""
-        light = _in_front(direction[None].astype(np.float64) @ self.rotation).to(self.relighter.statistics.lights)
+        light = in_front(direction[None], self.rotation).to(self.relighter.statistics.lights)
         noise = (self.relighter.noise / 255) ** 2  # of a new picture, which no exposure scales
         known = (self._variance(light)[0, 0] - noise).clamp_min(0) * self.exposure**2
         return (known + noise).sqrt().cpu().numpy()
@@ -267,12 +286,12 @@ class FaceModel:
         return blur(self.mask.numpy() * lit * (1 - features.clip(0, 1)) * agrees, 1)
 
 
-def _in_front(directions: np.ndarray) -> Tensor:
-    """``directions (P, 3)`` seen from the head, those behind it brought to its nearest side."""
-    front = directions * 1.0
+def in_front(directions: np.ndarray, rotation: np.ndarray) -> Tensor:
+    """``directions (P, 3)`` as a head that is turned by ``rotation (3, 3)`` sees them, those behind it at its nearest
+    side, ``(P, 3)``."""
+    front = directions.astype(np.float64) @ rotation
     front[:, 2] = np.maximum(front[:, 2], 0)
-    front /= np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)
-    return torch.from_numpy(front.astype(np.float32))
+    return torch.from_numpy(front / np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)).float()
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:

@@ -74,10 +74,14 @@ class Person:
             self._log.skip("matte", "the face fills the picture")
             return np.ones(self.window.size, np.float32)
         with self._log.measure("matte", "the picture shows more than the face"):
-            matte = person_matte(np.round(self.copy * 255).astype(np.uint8), self.window)
+            matte = self._matte(np.round(self.copy * 255).astype(np.uint8))
             face = np.clip((1 - self.oval) / 0.3, 0, 1)
             cover = np.maximum(matte, smooth_step(face) * (matte > 0.05)) * self.window.fade()
             return cover.astype(np.float32)
+
+    def _matte(self, image: np.ndarray) -> np.ndarray:
+        """Of the copy as ``image (h, w, 3)`` uint8."""
+        return person_matte(image, self.window)
 
     @cached_property
     def ground(self) -> np.ndarray:
@@ -91,13 +95,20 @@ class Person:
             face = self.window.from_crop(self.mask, outside=0.0).clip(0, 1)
             return skin_colour(self.scene, face, self.oval, self.features.eyes_and_lips, self.cover, self.window)
 
-    def follow(self, log_ratio: np.ndarray) -> tuple[np.ndarray, float]:
-        """What becomes of the light's ``log_ratio (h, w, C)`` on this person, and how surely the light is another, 0 to
-        1."""
-        log_ratio = log_ratio * (1 - EYEBALL * self.features.eyeballs[..., None])
+    def expose(self, log_ratio: np.ndarray) -> tuple[float, float]:
+        """How much brighter the picture under the light's ``log_ratio (h, w, C)`` is exposed, in log, and how surely
+        the light is another, 0 to 1."""
+        log_ratio = self._seen(log_ratio)
         change = self._change(log_ratio)
-        log_ratio = log_ratio + self._exposure(log_ratio, change)
-        return np.where(log_ratio > 0, self.brightened[..., None] * log_ratio, log_ratio).astype(np.float32), change
+        return self._exposure(log_ratio, change), change
+
+    def follow(self, log_ratio: np.ndarray, exposure: float) -> np.ndarray:
+        """What becomes of the light's ``log_ratio (h, w, C)`` on this person, brighter by ``exposure``."""
+        log_ratio = self._seen(log_ratio) + exposure
+        return np.where(log_ratio > 0, self.brightened[..., None] * log_ratio, log_ratio).astype(np.float32)
+
+    def _seen(self, log_ratio: np.ndarray) -> np.ndarray:
+        return log_ratio * (1 - EYEBALL * self.features.eyeballs[..., None])
 
     @cached_property
     def brightened(self) -> np.ndarray:

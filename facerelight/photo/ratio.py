@@ -27,9 +27,12 @@ COARSE = 0.3  # units: coarser than this the model shades the face, finer mostly
 EDGES = 0.85  # of the face's fine shading is the bust's
 FAINT_FACE, FAINT = 0.005, 0.02  # of the brightest bust shading: below it ratios level out
 AROUND, HEARSAY = 0.1, 0.02  # units over which, and weight with which, the unsure is asked
+DETAIL = 1.0  # pixels of the crop: finer than this a photograph shows pigment, coarser than this light as well
 LEVEL, NEAR_RIM = 0.7, 0.8  # the most by which the bust's log ratio is moved to meet the face's
 JOIN = 0.28  # units over which what the rim asks for fades
 DARKEST, BRIGHTEST = -4.0, 1.5  # of the face's log ratio
+LIFTED = 2.2  # of the same, where shading is taken away
+VAGUE = 0.3  # units: beyond the face shading is a guess, and smooth
 DEEPER, BRIGHTER = 0.3, 0.1  # than the face's own darkest and brightest, in log, the rest may become
 BUST_DARKEST, BUST_BRIGHTEST = -2.5, 0.8
 SOFT = 20.0  # degrees: a source as large as this has no edges to sharpen
@@ -62,15 +65,10 @@ class LightRatio:
 
     def __init__(self, face: FaceEvidence, crop: CropFrame, shading: BustShading, source: LightMixture) -> None:
         self.face, self.crop, self.shading = face, crop, shading
-        weight = np.clip((1 - crop.oval().numpy()) / 0.3, 0, 1)
-        self.weight = crop_onto(smooth_step(weight).astype(np.float32), crop, FINE)
+        self._seam = _seam(1.0, 0.3, crop, face.mask)
+        self.weight, self.rim = self._seam.weight, self._seam.rim
         self._norm = np.maximum(blur(self.weight, COARSE * FINE.density), 1e-3)
-        rim = crop_onto(blur(face.mask, 1.5), crop, FINE)
-        self.rim = (4 * self.weight * (1 - self.weight) * rim + 0.02 * self.weight).astype(np.float32)
-        self._near_rim = blur(self.rim, JOIN * FINE.density)
         self.trust = crop_onto(face.trust.astype(np.float32), crop, FINE)
-        self._sure = (self.trust + HEARSAY) * (self.weight > 0)
-        self._around = np.maximum(blur(self._sure, AROUND * FINE.density), 1e-4)
         self._fully_lit = np.maximum(blur(face.radiance(np.array([[0.0, 0.0, 1.0]], np.float32))[0], 6), 1e-3)
         mean = float((face.luminance * face.mask).sum() / max(float(face.mask.sum()), 1e-6))
         self.dark = RATIO_FLOOR * max(mean, 1e-3)
@@ -85,6 +83,30 @@ class LightRatio:
         face, bust = self._maps(light)
         return np.stack([self._joined(face[..., c], bust[..., c]) for c in range(face.shape[-1])], -1)
 
+    def flat(self, reflectance: np.ndarray, luminance: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """``(H, W)`` log ratio of light that shades nothing over the photograph's own: 0 on average over the face.
+
+        On the face it takes all of the photograph's shading away, whether a light explains it or not, at what the
+        model's crop resolves; beyond it that of the bust.
+
+        Args:
+            reflectance: ``(h, w)`` of the face, on the model's crop, in any unit.
+            luminance: ``(h, w)``, what the photograph shows of it, without highlights.
+            known: ``(h, w)`` in 0..1, where it is known.
+        """
+        seam, kept = _seam(1.08, 0.2, self.crop, self.face.mask), np.maximum(blur(known, DETAIL), 1e-3)
+        bare, seen = (
+            crop_onto(blur(part * known, DETAIL) / kept, self.crop, FINE) for part in (reflectance, luminance)
+        )
+        sure = (crop_onto(known.astype(np.float32), self.crop, FINE) * (seam.weight > 0)).astype(np.float32)
+        weight = sure * seam.weight + 1e-6
+        level = float((weight * seen).sum() / max(float((weight * bare).sum()), 1e-6))
+        inner = np.log((level * bare + self.dark) / (seen + self.dark))
+        inner = inner - float((weight * inner).sum() / weight.sum())
+        white = float((weight * self.source_bust).sum() / weight.sum())
+        outer = self._bust_ratio(np.full_like(self.source_bust, white), FAINT)
+        return _join(inner, blur(outer, VAGUE * FINE.density), sure, seam, LIFTED)
+
     def _joined(self, face: np.ndarray, bust: np.ndarray) -> np.ndarray:
         """One channel's log ratio, ``(H, W)``, from the radiance of the face and the irradiance of the bust."""
         inner = np.log((face + self.dark) / (self.source_face + self.dark))
@@ -92,21 +114,7 @@ class LightRatio:
         inner = (
             inner + self._changed(inner) * self.unexplained
         )  # what the photograph's own light left unexplained goes with it
-        around = blur(inner * self._sure, AROUND * FINE.density) / self._around
-        inner = self.trust * inner + (1 - self.trust) * around  # what is unsure follows what surrounds it
-        outer = self._bust_ratio(bust, FAINT)
-        level = float((self.rim * (inner - outer)).sum() / max(float(self.rim.sum()), 1e-6))
-        near = blur(self.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(self._near_rim, 1e-4)
-        outer = (
-            outer
-            + np.clip(level, -LEVEL, LEVEL)
-            + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * self._near_rim, 0, 1)
-        )
-        # hair is hardly deeper in shade or brighter than the face
-        low, high = np.quantile(inner[self.weight > 0.5], (0.05, 0.95))
-        outer = np.clip(outer, low - DEEPER, high + BRIGHTER)
-        outer = np.clip(blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
-        return self.weight * np.clip(inner, DARKEST, BRIGHTEST) + (1 - self.weight) * outer
+        return _join(inner, self._bust_ratio(bust, FAINT), self.trust, self._seam, BRIGHTEST)
 
     def _bust_ratio(self, bust: np.ndarray, faint: float) -> np.ndarray:
         return np.log(
@@ -179,6 +187,43 @@ class LightRatio:
             self.shading.fine_lambert(one)[..., None] * share for one, share in zip(directions, weights, strict=True)
         )
         return lit * seen[..., None]
+
+
+class _Seam(NamedTuple):
+    """Where the face goes over into the rest, ``(H, W)`` on :data:`FINE`: the face's ``weight`` in 0..1, its ``rim``,
+    and that blurred."""
+
+    weight: np.ndarray
+    rim: np.ndarray
+    near_rim: np.ndarray
+
+
+def _seam(ends: float, width: float, crop: CropFrame, mask: np.ndarray) -> _Seam:
+    """The face's weight falls to 0 over a ``width``, and ``ends``, in units of its oval; ``mask (h, w)`` of the crop
+    says where skin is seen."""
+    share = np.clip((ends - crop.oval().numpy()) / width, 0, 1)
+    weight = crop_onto(smooth_step(share).astype(np.float32), crop, FINE)
+    seen = crop_onto(blur(mask, 1.5), crop, FINE)
+    rim = (4 * weight * (1 - weight) * seen + 0.02 * weight).astype(np.float32)
+    return _Seam(weight, rim, blur(rim, JOIN * FINE.density))
+
+
+def _join(inner: np.ndarray, outer: np.ndarray, trust: np.ndarray, seam: _Seam, most: float) -> np.ndarray:
+    """Log ratios ``inner`` of the face, as far as ``trust`` goes and at most ``most``, and ``outer`` of the rest as
+    one, ``(H, W)`` each."""
+    sure = (trust + HEARSAY) * (seam.weight > 0)
+    around = blur(inner * sure, AROUND * FINE.density) / np.maximum(blur(sure, AROUND * FINE.density), 1e-4)
+    inner = trust * inner + (1 - trust) * around  # what is unsure follows what surrounds it
+    level = float((seam.rim * (inner - outer)).sum() / max(float(seam.rim.sum()), 1e-6))
+    near = blur(seam.rim * (inner - outer - level), JOIN * FINE.density) / np.maximum(seam.near_rim, 1e-4)
+    outer = (
+        outer + np.clip(level, -LEVEL, LEVEL) + np.clip(near, -NEAR_RIM, NEAR_RIM) * np.clip(6 * seam.near_rim, 0, 1)
+    )
+    # hair is hardly deeper in shade or brighter than the face
+    low, high = np.quantile(inner[seam.weight > 0.5], (0.05, 0.95))
+    outer = np.clip(outer, low - DEEPER, high + BRIGHTER)
+    outer = np.clip(blur(outer, 1.2), BUST_DARKEST, BUST_BRIGHTEST)
+    return seam.weight * np.clip(inner, DARKEST, most) + (1 - seam.weight) * outer
 
 
 def surely_another(variance: float) -> float:

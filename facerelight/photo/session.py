@@ -26,7 +26,7 @@ from facerelight.geometry.lights import angles_from_light, light_from_angles
 from facerelight.geometry.sources import Lamp, LightMixture, lights_behind, scene_light
 from facerelight.inference.methods import Method
 from facerelight.inference.relighter import StatisticalRelighter
-from facerelight.photo.bust.frame import BUST, FINE, Window, compose, crop_to_bust, working_window
+from facerelight.photo.bust.frame import BUST, FINE, LARGEST_SIDE, Window, compose, crop_to_bust, working_window
 from facerelight.photo.bust.shading import BustShading
 from facerelight.photo.bust.surface import fit_bust, head_rotation, make_bust
 from facerelight.photo.colour import to_scene
@@ -36,6 +36,7 @@ from facerelight.photo.faces.given import Landmarks, check_landmarks, locate_fac
 from facerelight.photo.faces.head_pose import HeadPose
 from facerelight.photo.faces.landmarks import Face
 from facerelight.photo.files.pixels import as_rgb, like, small_copy
+from facerelight.photo.layers.decomposition import Decomposition, decompose_person
 from facerelight.photo.person import Person
 from facerelight.photo.ratio import FaceEvidence, LightRatio
 from facerelight.photo.stages import Stage, StageLog
@@ -146,6 +147,9 @@ class PhotoRelighter:
         LandmarksNotFoundError: no face was found.
     """
 
+    _person = Person
+    _largest_side = LARGEST_SIDE
+
     def __init__(
         self,
         photo: np.ndarray,
@@ -173,10 +177,9 @@ class PhotoRelighter:
         with self._log.measure("model", "the face's statistics"):
             others = ((as_rgb(other), locate_face(as_rgb(other), None, None)[0]) for other in more)
             crops = [aligned.crop, *(self._align(pixels, found.landmarks).crop for pixels, found in others)]
-            rotation = None if self._points is None else head_rotation(self._points)
-            self.model = FaceModel(self.relighter, crops, source_light, method, rotation)
+            self.model = self._conditioned(crops, source_light, method)
         shown, mask = (aligned.copy, aligned.scene, self.window), self.model.mask.numpy()
-        self.person = Person(*shown, self.face.points, mask, self._log, self._exhaustive)
+        self.person = self._person(*shown, self.face.points, mask, self._log, self._exhaustive)
 
     # -- what is known of the photo
 
@@ -281,7 +284,8 @@ class PhotoRelighter:
         marched = ratio.shading.marches
         with self._log.measure("light", f"a new light of {len(light.directions)} points"):
             log_ratio = self.window.back(ratio(light).astype(np.float32), FINE).reshape(*self.window.size, -1)
-            log_ratio, change = self.person.follow(log_ratio)
+            exposure, change = self.person.expose(log_ratio)
+            log_ratio = self.person.follow(log_ratio, exposure)
         if ratio.shading.marches == marched:
             self._log.skip("shadows", "no lamp whose shadows were not known already, or that the camera could see")
         person = self.person
@@ -297,12 +301,34 @@ class PhotoRelighter:
         maps = self.model.std(light_from_angles(float(azimuth), float(elevation)).numpy()) * self.mask.numpy()
         return self._on_photo(self.window.from_crop(maps.astype(np.float32), outside=0.0).clip(0))
 
+    @torch.inference_mode()
+    def decompose(self) -> Decomposition:
+        """What the photo is made of: shading, reflectance, highlights, normals, its own light, and how sure they are.
+
+        Example:
+            >>> from skimage.data import astronaut  # doctest: +SKIP
+            >>> parts = PhotoRelighter(astronaut()).decompose()  # doctest: +SKIP
+            >>> parts.reflectance.shape, parts.normals_std.max() < 90  # doctest: +SKIP
+            ((512, 512, 3), True)
+        """
+        shading, trust = self._shading, self._trust
+        return decompose_person(self._pixels, self.window, self.person, self.model, shading, trust)
+
     def _on_photo(self, image: np.ndarray) -> np.ndarray:
         """A map of the window's copy on the photo, ``(H, W)`` float32; 0 beyond the window."""
         out = np.zeros(self._pixels.shape[:2], np.float32)
         part = out[self.window.rows, self.window.columns]
         part[...] = cv2.resize(image, part.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return out
+
+    def _conditioned(self, crops: list[Tensor], source_light: Tensor | None, method: Method) -> FaceModel:
+        """What the model knows of the face in ``crops (3, h, w)``, this photo's first."""
+        return FaceModel(self.relighter, crops, source_light, method, self._rotation)
+
+    @cached_property
+    def _rotation(self) -> np.ndarray | None:
+        """How the head is turned, ``(3, 3)`` in bust coordinates."""
+        return None if self._points is None else head_rotation(self._points)
 
     @cached_property
     def _to_bust(self) -> np.ndarray:
@@ -321,22 +347,31 @@ class PhotoRelighter:
         return np.column_stack((points[:, :2] @ to_bust[:, :2].T + to_bust[:, 2], -points[:, 2] * unit))
 
     @cached_property
-    def _ratio(self) -> LightRatio:
+    def _shading(self) -> BustShading:
         """Built at the first render: a gallery asks for aligned faces alone."""
         cover = self.person.cover
         with self._log.measure("bust", "neck, hair and clothes follow the light"):
             in_picture = self.window.onto(np.ones(self.window.size, np.float32), BUST, cv2.BORDER_CONSTANT) > 0.5
             down = _down(self._to_bust)
             bust = make_bust(self.window.onto(cover, BUST), in_picture, fit_bust(self._points, down), down)
+            return BustShading(bust, self._exhaustive)
+
+    @cached_property
+    def _trust(self) -> np.ndarray:
+        """Where the crop is skin that the model understands, ``(h, w)``."""
+        return self.model.trust(self.window.onto_crop(self.person.features.not_skin))
+
+    @cached_property
+    def _ratio(self) -> LightRatio:
+        shading = self._shading
         with self._log.measure("source", f"the photo's own light, {len(self.light.directions)} points"):
-            trust = self.model.trust(self.window.onto_crop(self.person.features.not_skin))
-            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), trust, self.model.radiance)
-            return LightRatio(evidence, self.frame, BustShading(bust, self._exhaustive), self.light)
+            evidence = FaceEvidence(self.luminance.numpy(), self.mask.numpy(), self._trust, self.model.radiance)
+            return LightRatio(evidence, self.frame, shading, self.light)
 
     def _align(self, pixels: np.ndarray, landmarks: np.ndarray) -> _Aligned:
         """The window around a face, its copy, and the model's crop of it."""
         matrix = fit_similarity(check_landmarks(landmarks, pixels.shape), self.frame.landmarks).numpy()
-        window = working_window(pixels.shape, matrix, self.frame)
+        window = working_window(pixels.shape, matrix, self.frame, self._largest_side)
         copy = small_copy(pixels, window)
         scene = to_scene(copy)
         crop = torch.from_numpy(np.ascontiguousarray(window.onto_crop(scene).transpose(2, 0, 1)))

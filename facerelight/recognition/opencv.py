@@ -3,6 +3,7 @@ deep one."""
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import cv2
@@ -67,7 +68,8 @@ class OpenCVClassifier(Classifier):
 class EmbeddingFeatures(nn.Module):
     """An embedding as a normaliser of aligned crops in radiance: compare its vectors by cosine.
 
-    Networks are trained on photographs as cameras write them: radiance is coded as sRGB first.
+    Networks are trained on photographs as cameras write them: radiance is coded as sRGB first. Vectors are kept, for
+    tables probe with the very photographs that they enroll, and a network is slow.
 
     Args:
         embedding: such as :class:`facerelight.recognition.sface.SFace`.
@@ -79,6 +81,7 @@ class EmbeddingFeatures(nn.Module):
     def __init__(self, embedding: Embedding, frame: CropFrame) -> None:
         super().__init__()
         self.embedding, self.frame = embedding, frame
+        self._known: dict[bytes, Tensor] = {}
 
     def forward(self, images: Tensor) -> Tensor:
         crop = self.embedding.crop
@@ -87,7 +90,12 @@ class EmbeddingFeatures(nn.Module):
         matrix = fit_similarity(self.frame.landmarks, target)
         faces = warp_to_crop(images[:, None], matrix.expand(len(images), -1, -1), CropFrame(crop.side, crop.side))
         coded = srgb_bytes(faces[:, 0])
-        return self.embedding(np.repeat(coded[..., None], 3, axis=3))[:, None]
+        keys = [hashlib.sha256(one).digest() for one in coded]
+        new = {key: row for row, key in enumerate(keys) if key not in self._known}
+        if new:
+            vectors = self.embedding(np.repeat(coded[list(new.values()), ..., None], 3, axis=3))
+            self._known |= dict(zip(new, vectors, strict=True))
+        return torch.stack([self._known[key] for key in keys])[:, None]
 
 
 def _bytes(images: Tensor) -> list[np.ndarray]:

@@ -33,16 +33,19 @@ def levels(recognizer: Recognizer, photos: list[np.ndarray], people: torch.Tenso
     """Mean and standard deviation of strangers' scores, slope and intercept of the logistic."""
     faces = [find_faces(photo)[0] for photo in photos]
     probes = [recognizer.describe(photo, face) for photo, face in zip(photos, faces, strict=True)]
-    enrolled = list(range(0, len(photos), step))
-    templates = [recognizer.enroll(photos[i], faces[i]) for i in enrolled]
-    index = recognizer.index({part: torch.cat([one[part] for one in templates]) for part in templates[0]})
+    enrolled = torch.arange(0, len(photos), step)
+    templates = [recognizer.enroll(photos[i], faces[i]) for i in enrolled.tolist()]
+    whole = {part: torch.cat([one[part] for one in templates]) for part in templates[0]}
     owners = people[enrolled]
+    index = recognizer.index(whole, owners)
     same, other = [], []
-    for number, probe in enumerate(probes):
-        scores, rows = index.search(probe, len(enrolled))
-        own, itself = owners[rows] == people[number], torch.tensor(enrolled)[rows] == number
-        same.append(scores[own & ~itself])
-        other.append(scores[~own])
+    for person in owners.unique():
+        rest = (owners != person).nonzero()[:, 0]
+        without = recognizer.index({part: values[rest] for part, values in whole.items()}, owners[rest])
+        for number in (people == person).nonzero()[:, 0].tolist():
+            scores, rows = index.search(probes[number], len(owners))
+            same.append(scores[(owners[rows] == person) & (enrolled[rows] != number)])
+            other.append(without.search(probes[number], len(rest))[0])
     right, wrong = torch.cat(same), torch.cat(other)
     mean, std = float(wrong.mean()), float(wrong.std())
     values = torch.cat((right, wrong)).sub(mean).div(std).double().numpy()[:, None]

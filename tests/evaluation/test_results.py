@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from facerelight.evaluation.cost import paired, peak_memory_mb
-from facerelight.evaluation.results import ScriptParser, markdown, read_rows
+from facerelight.evaluation.results import ScriptParser, joined_rows, markdown, read_rows
 
 ROWS = [{"value": 1, "default": "yes"}, {"value": 2, "error": 0.5}]
 
@@ -76,3 +76,18 @@ def test_pairs_run_in_turn() -> None:
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux")
 def test_memory_is_what_is_needed_on_top() -> None:
     assert 30 < peak_memory_mb(lambda: bytearray(40_000_000)) < 60
+
+
+def test_rows_of_several_runs_are_joined(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first.write_text("# command: none\nname,count,error,share\nall,2,1.0,\nfront,1,4.00,0.5\n")
+    second.write_text("name,count,error,share\nall,6,3.0,0.25\n")
+    rows = joined_rows([first, second], ("name",), "count")
+    assert rows == [
+        {"name": "all", "count": 8, "error": 2.5, "share": 0.25},
+        {"name": "front", "count": 1, "error": 4.0, "share": 0.5},
+    ]
+    with pytest.raises(ValueError, match="got none called missing"):
+        joined_rows([first], ("missing",), "count")
+    with pytest.raises(ValueError, match="expected files with rows"):
+        joined_rows([], ("name",), "count")

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from facerelight.geometry.environment import environment_light, even_light, map_directions
-from facerelight.geometry.lights import even_hemisphere, light_from_angles
+from facerelight.geometry.environment import environment_light, even_light, map_directions, paint_environment
+from facerelight.geometry.lights import angular_distance, even_hemisphere, light_from_angles
 from facerelight.geometry.sources import LightMixture
 from facerelight.geometry.studio import STUDIO, studio_lamps
 
@@ -123,3 +123,27 @@ def test_set_ups_have_a_mirror_image(name: str) -> None:
 def test_an_unknown_set_up_is_named() -> None:
     with pytest.raises(ValueError, match="rembrandt"):
         studio_lamps("paramount")
+
+
+@pytest.mark.parametrize("height", [32, 128])
+def test_a_painted_light_is_read_as_itself(height: int) -> None:
+    lights, facing = even_hemisphere(64), even_hemisphere(200)
+    generator = torch.Generator().manual_seed(height)
+    for towards in ((-0.6, 0.3, 0.7), (0.9, 0.1, 0.2), (0.0, 0.9, 0.4)):
+        middle = torch.nn.functional.normalize(torch.tensor(towards), dim=0)
+        amounts = torch.exp(8 * (lights @ middle - 1)) + 0.02
+        weights = amounts[:, None] * (1 + 0.4 * torch.rand(64, 3, generator=generator))
+        light = LightMixture(lights, weights, torch.full((64,), 20.0), torch.zeros(64, dtype=torch.long))
+        read = environment_light(paint_environment(light, height))
+        given, found = ((facing @ one.directions.T).clamp_min(0) @ one.weights for one in (light, read))
+        found = found * (given.sum() / found.sum())
+        assert (found - given).square().mean().sqrt() < 0.02 * given.square().mean().sqrt()
+        vectors = (one.weights.mean(1) @ one.directions for one in (light, read))
+        assert float(angular_distance(*vectors)) < 0.2
+
+
+def test_what_cannot_be_painted() -> None:
+    with pytest.raises(ValueError, match="at least 8 rows, got 4"):
+        paint_environment(even_light(), 4)
+    with pytest.raises(ValueError, match="expected some light"):
+        paint_environment(even_light()._replace(weights=torch.zeros(80, 3)))

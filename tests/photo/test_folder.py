@@ -4,6 +4,9 @@ import csv
 import io
 import json
 import os
+import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -120,3 +123,45 @@ def test_an_interrupted_run_says_how_to_go_on(
     assert run("in", "--output", "out") == 130
     assert "--resume goes on" in capsys.readouterr().err
     assert [row["photo"] for row in rows()] == ["in/a.png"]
+
+
+def test_processes_of_torchrun_share_a_folder(folder: Path, tmp_path: Path) -> None:
+    astronaut = pytest.importorskip("skimage.data", reason="scikit-image carries the photo").astronaut()
+    (tmp_path / "in").mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(np.ascontiguousarray(astronaut[:256, 96:352])).save(tmp_path / "in" / name)
+    (tmp_path / "in" / "c.jpg").write_bytes(b"\xff\xd8 no more")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    words = [sys.executable, "-m", "facerelight.cli", "relight", str(tmp_path / "in"), "--statistics", str(folder)]
+    asked = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": "2", "OMP_NUM_THREADS": "1"}
+    running = [
+        subprocess.Popen(
+            [*words, "--output", str(tmp_path / "out")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **asked, "RANK": str(rank)},
+        )
+        for rank in (0, 1)
+    ]
+    said = [process.communicate(timeout=300) for process in running]
+    assert [process.returncode for process in running] == [1, 0], said  # the first takes a.png and c.jpg
+    assert [Path(out.strip()).name for out, _ in said] == ["a_relit.png", "b_relit.png"]
+    assert sorted((Path(row["photo"]).name, row["status"]) for row in rows(str(tmp_path / "out"))) == [
+        ("a.png", "done"), ("b.png", "done"), ("c.jpg", "failed"),
+    ]  # fmt: skip
+    assert [path.name for path in (tmp_path / "out").glob("*.csv")] == ["manifest.csv"]
+
+
+def test_what_other_processes_left_is_known(made: list[FakeSession]) -> None:  # noqa: F811
+    for name in ("in/a.png", "in/b.png"):
+        photo(name)
+    assert run("in", "--output", "out") == 0
+    Path("out/manifest.csv").rename("out/manifest.1.csv")  # of a run under torchrun that was interrupted
+    before = len(made)
+    assert run("in", "--output", "out", "--resume") == 0
+    assert len(made) == before
+    assert [row["status"] for row in rows()] == ["done", "done"]
+    assert not Path("out/manifest.1.csv").exists()

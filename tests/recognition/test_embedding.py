@@ -35,6 +35,17 @@ def test_networks_are_given_srgb() -> None:
     assert 127 <= int(network.crops[2].max()) <= 128
 
 
+def test_a_table_shows_each_photograph_to_a_network_once() -> None:
+    network, generator = Shown(), torch.Generator().manual_seed(0)
+    images = torch.rand(4, 48, 42, generator=generator)
+    features = EmbeddingFeatures(network, CropFrame(48, 42))
+    first = features(images[:3])
+    again = features(images.flip(0))
+    assert len(network.crops) == 1  # of the second call, the one that is new
+    assert torch.equal(again[1:], first.flip(0))
+    assert torch.allclose(again, EmbeddingFeatures(Shown(), CropFrame(48, 42))(images.flip(0)))
+
+
 def test_opencv_is_given_srgb(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[np.ndarray] = []
 

@@ -8,9 +8,14 @@ import torch
 from conftest import MeanColour, marked_face
 from scipy.stats import t as student
 
-from facerelight.recognition.gallery.calibration import calibrate
+from facerelight.inference.relighter import StatisticalRelighter
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.blur import gaussian_blur
+from facerelight.recognition.gallery import individual
+from facerelight.recognition.gallery.calibration import calibrate, stranger_scores
 from facerelight.recognition.gallery.embeddings import CompressedIndex, EmbeddingRecognizer, ExactIndex
 from facerelight.recognition.gallery.gallery import Gallery
+from facerelight.recognition.gallery.individual import IndividualRecognizer
 from facerelight.recognition.gallery.recognizer import Levels
 
 LEVELS = Levels(0.2, 0.1, 1.5, -5.0)
@@ -115,6 +120,42 @@ def test_a_template_that_everybody_resembles_is_held_to_its_own_level() -> None:
     assert int(own.standardised(probe, people).argmax()) == 3
 
 
+def gathered(people: int, photos: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Vectors of people who all have a good part in common, and whose they are."""
+    centres = torch.randn(people, 128, generator=generator) + torch.linspace(-1.5, 1.5, 128)
+    owners = torch.arange(people).repeat_interleave(photos)
+    noise = torch.randn(len(owners), 128, generator=generator)
+    return torch.nn.functional.normalize(centres[owners] + noise, dim=1), owners
+
+
+def test_the_thesiss_scores_less_what_a_probe_shares_with_others(statistics: FaceStatistics) -> None:
+    """Darkening or noise that lowers every score leaves the margin; another photograph of the likeliest is no other."""
+    recognizer = IndividualRecognizer(StatisticalRelighter(statistics))
+    generator = torch.Generator().manual_seed(0)
+    probe = gaussian_blur(torch.rand(1, 240, 210, generator=generator), 3.0)[0]
+    same = individual._modules(recognizer._features(individual._views(probe)[:1]))
+    noise = torch.randn(5, *same[:, 0].shape, generator=generator) * same.std()
+    mean = torch.cat((same.transpose(0, 1), same.transpose(0, 1) + 0.2 * noise[:1], noise[1:]))
+    basis = torch.zeros(*mean.shape, 1)
+    found, rows = recognizer.index({"mean": mean, "basis": basis}, torch.tensor([0, 0, 1, 2, 3, 4])).search(probe, 6)
+    apart, _ = recognizer.index({"mean": mean, "basis": basis}, torch.arange(6)).search(probe, 6)
+    assert rows[:2].tolist() == [0, 1]
+    raw = apart - apart[0] + 1  # the first is the probe itself
+    expected = raw - (raw[2:].sum() + 5 * individual.STRANGERS) / 9
+    assert torch.allclose(found, expected, atol=1e-4)
+
+
+def test_people_score_as_strangers_without_themselves() -> None:
+    recognizer = EmbeddingRecognizer(MeanColour())
+    vectors, owners = gathered(4, 2, torch.Generator().manual_seed(0))
+    scores = stranger_scores(recognizer, {"probe": vectors}, owners)
+    assert (scores[owners[:, None] == owners] == 0).all()
+    found, rows = ExactIndex(vectors[2:]).search(vectors[1], 6)
+    assert torch.allclose(scores[1, 2:][rows], found)
+    alone = stranger_scores(recognizer, {"probe": vectors[:2]}, owners[:2])
+    assert torch.equal(alone, torch.zeros(2, 2))
+
+
 def test_the_compressed_index_finds_what_an_exact_search_finds() -> None:
     pytest.importorskip("faiss", reason="needs the extra 'faiss'")
     generator = torch.Generator().manual_seed(0)
@@ -125,8 +166,9 @@ def test_the_compressed_index_finds_what_an_exact_search_finds() -> None:
         (ours, rows), (theirs, expected) = compressed.search(probe, 3), exact.search(probe, 3)
         assert int(rows[0]) == int(expected[0])
         assert float(ours[0]) == pytest.approx(float(theirs[0]))
-    recognizer = EmbeddingRecognizer(MeanColour())
-    assert isinstance(recognizer.index({"probe": vectors}), CompressedIndex)
-    assert isinstance(recognizer.index({"probe": vectors[:10_000]}), ExactIndex)
+    recognizer, owners = EmbeddingRecognizer(MeanColour()), torch.arange(20_000)
+    for count, kind in ((20_000, CompressedIndex), (10_000, ExactIndex)):
+        index = recognizer.index({"probe": vectors[:count]}, owners[:count])
+        assert isinstance(index, kind)
     with pytest.raises(ValueError, match="vectors: expected"):
         CompressedIndex(vectors[:9])

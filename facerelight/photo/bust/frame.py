@@ -8,13 +8,25 @@ part is a window around the bust.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from facerelight.geometry.alignment import CropFrame
 
-__all__ = ["BUST", "FINE", "Grid", "Window", "between", "blur", "crop_onto", "smooth_step", "working_window"]
+__all__ = [
+    "BUST",
+    "FINE",
+    "LARGEST_SIDE",
+    "Grid",
+    "Window",
+    "between",
+    "blur",
+    "crop_onto",
+    "smooth_step",
+    "working_window",
+]
 
 
 @dataclass(frozen=True)
@@ -74,10 +86,14 @@ class Window:
     crop: CropFrame
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """x and y of every pixel of the copy in bust coordinates, ``(h, w)`` float32 each."""
-        column, row = np.meshgrid(np.arange(self.size[1], dtype=np.float32), np.arange(self.size[0], dtype=np.float32))
-        x, y = (self.to_bust[k, 0] * column + self.to_bust[k, 1] * row + self.to_bust[k, 2] for k in range(2))
-        return x, y
+        """x and y of every pixel of the copy in bust coordinates, ``(h, w)`` float32 each; do not write into them."""
+        return self._places
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
+        column, row = np.arange(self.size[1], dtype=np.float64), np.arange(self.size[0], dtype=np.float64)[:, None]
+        x, y = (self.to_bust[k, 0] * column + (self.to_bust[k, 1] * row + self.to_bust[k, 2]) for k in range(2))
+        return x.astype(np.float32), y.astype(np.float32)
 
     def fade(self) -> np.ndarray:
         """1 on the bust, going over into 0 towards the window's ends, ``(h, w)``: a person may go on beyond them."""
@@ -117,9 +133,9 @@ class Window:
         )
 
 
-def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame) -> Window:
+def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame, largest: int = LARGEST_SIDE) -> Window:
     """The window of a photograph of ``shape (H, W, ...)`` whose similarity ``to_crop (2, 3)`` takes its pixels to the
-    model's crop."""
+    model's crop; its copy has at most ``largest`` pixels on the longer side."""
     to_bust = compose(crop_to_bust(crop), to_crop)
     corners = np.array([(x, y) for x in (-REACH[0], REACH[0]) for y in (REACH[1], -REACH[2])])
     back = invert(to_bust)
@@ -127,7 +143,7 @@ def working_window(shape: tuple[int, ...], to_crop: np.ndarray, crop: CropFrame)
     low = np.maximum(np.floor(corners.min(0)).astype(int), 0)
     high = np.minimum(np.ceil(corners.max(0)).astype(int) + 1, (shape[1], shape[0]))
     width, height = (int(v) for v in np.maximum(high - low, 1))
-    scale = min(1.0, LARGEST_SIDE / max(width, height))
+    scale = min(1.0, largest / max(width, height))
     size = max(1, round(height * scale)), max(1, round(width * scale))
     # pixel centres: copy pixel i stands for photograph pixel (i + 0.5) / scale - 0.5
     sx, sy = width / size[1], height / size[0]

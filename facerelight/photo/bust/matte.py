@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 
 from facerelight.photo.bust.frame import Window, blur, compose, smooth_step
+from facerelight.photo.colour import most_channel
 from facerelight.photo.networks import SELFIE_SEGMENTATION, network_path
 
-__all__ = ["ground_behind", "person_matte"]
+__all__ = ["coarse_cover", "ground_behind", "person_matte", "sharpened_matte"]
 
 NETWORK_SIZE = (256, 256)
 NEAR, AWAY = (4.6, 3.6, 6.2), 0.8  # units to each side, above and below the eyes; over which what is farther takes over
@@ -39,10 +40,21 @@ def person_matte(image: np.ndarray, window: Window) -> np.ndarray:
         image: ``(h, w, 3)`` uint8 sRGB, the window's copy.
         window: where the bust lies in it.
     """
+    return sharpened_matte(coarse_cover(image, window), image, window)
+
+
+def coarse_cover(image: np.ndarray, window: Window) -> np.ndarray:
+    """What the network says, ``(h, w)`` float32 in 0..1, blurred at the person's edges; GrabCut where it cannot be
+    read. Arguments as for :func:`person_matte`."""
     try:
-        cover = _network_cover(image, window)
+        return _network_cover(image, window)
     except (cv2.error, RuntimeError):
-        cover = _grabcut_cover(image, window)
+        return _grabcut_cover(image, window)
+
+
+def sharpened_matte(cover: np.ndarray, image: np.ndarray, window: Window) -> np.ndarray:
+    """The coarse ``cover (h, w)`` taken to the edges of ``image``, and off what is ground; ``(h, w)`` float32 in
+    0..1."""
     x, y = window.places()
     oval = np.hypot(x, (y + 0.42) / 1.42)  # of the face, 1 on its outline
     if float(cover[oval < 0.7].mean()) < SEEN:  # no person where the face is: the face alone
@@ -80,9 +92,9 @@ def _seen_through(image: np.ndarray, cover: np.ndarray, window: Window) -> np.nd
         blur(values * bare[..., None], reach) / np.maximum(weight, 1e-4)[..., None] for values in (coded, coded**2)
     )
     level = ground_behind(coded, cover, window.unit)
-    scale = level.max(-1) + 0.2  # what differs little in the dark differs as little in the light
-    varies = np.sqrt(np.maximum(square - mean**2, 0)).max(-1) / scale
-    differs = np.abs(coded - level).max(-1) / scale
+    scale = most_channel(level) + 0.2  # what differs little in the dark differs as little in the light
+    varies = np.sqrt(np.maximum(most_channel(square - mean**2), 0)) / scale
+    differs = most_channel(np.abs(coded - level)) / scale
     differs = np.maximum(differs, blur(differs, 0.02 * window.unit))
     alike = np.clip((DIFFERS[1] - differs) / (DIFFERS[1] - DIFFERS[0]), 0, 1)
     plain = np.clip((VARIES[1] - varies) / (VARIES[1] - VARIES[0]), 0, 1)
@@ -94,7 +106,7 @@ def _blank(image: np.ndarray, window: Window) -> np.ndarray:
     """1 on areas of one colour that reach the picture's border, ``(h, w)`` float32: paper, clipped sky, a cut-out's
     ground. What has the colour of one above the eyes is no clothes."""
     square: np.ndarray = np.ones((3, 3), np.uint8)
-    flat = (cv2.dilate(image, square) - cv2.erode(image, square)).max(-1) <= FLAT
+    flat = most_channel(cv2.dilate(image, square) - cv2.erode(image, square)) <= FLAT
     _, labels, found, _ = cv2.connectedComponentsWithStats(flat.astype(np.uint8))
     border = np.ones(flat.shape, bool)
     border[1:-1, 1:-1] = False
@@ -109,7 +121,7 @@ def _blank(image: np.ndarray, window: Window) -> np.ndarray:
         return blank
     near = cv2.dilate(blank, np.ones((2 * RINGING + 1,) * 2, np.uint8)) > 0
     colour = blur(image * blank[..., None], RINGING) / np.maximum(blur(blank, RINGING), 1e-3)[..., None]
-    alike = near & (np.abs(image - colour).max(-1) < ALIKE)  # compression rings along its edge
+    alike = near & (most_channel(np.abs(image - colour)) < ALIKE)  # compression rings along its edge
     return blur(np.maximum(blank, alike), 0.7)
 
 

@@ -20,7 +20,16 @@ from facerelight.photo.faces.face_mesh import fit_face_mesh
 from facerelight.photo.faces.haar import haar_landmarks
 from facerelight.photo.faces.head_pose import HeadPose, RigidFit, canonical_face, fit_rigid_face, model_landmarks
 
-__all__ = ["Face", "HeadPose", "LandmarksNotFoundError", "face_at", "find_faces", "find_landmarks"]
+__all__ = [
+    "Face",
+    "HeadPose",
+    "LandmarksNotFoundError",
+    "face_at",
+    "face_of_points",
+    "find_faces",
+    "find_landmarks",
+    "follow_face",
+]
 
 Box = tuple[float, float, float, float]  # x0, y0, x1, y1
 Detector = Literal["auto", "haar", "yunet"]
@@ -47,6 +56,7 @@ PLAUSIBLE = Limits(0.6, 0.6, 0.16, 0.9)
 FAINT = Limits(0.3, 0.98, 0.16, 0.9)  # what the detector hardly sees, the mesh must be sure of
 # Upright faces have mesh scores above 0.9999, the same faces upside down less; what is no face has less than 0.05.
 CLEAR = Limits(0.6, 0.9999, 0.14, 0.9)
+FOLLOWED = Limits(0.0, 0.9, 0.16, 0.9)  # a face that was there a moment ago
 
 
 class LandmarksNotFoundError(RuntimeError):
@@ -167,6 +177,23 @@ def face_at(photo: np.ndarray, landmarks: np.ndarray | Tensor) -> Face:
     return fitted.face._replace(landmarks=given)
 
 
+def follow_face(photo: np.ndarray, before: Face) -> Face | None:
+    """The face of a film's earlier picture in the next one, without a search; None where it is not there.
+
+    Args:
+        photo: ``(H, W, 3)`` uint8 sRGB.
+        before: found in the earlier picture, which has to be of the same size.
+    """
+    fitted = _fit_upright(photo, Candidate(before.landmarks[[0, 1, 2, 2, 2]], before.score))
+    return fitted.face if fitted.within(FOLLOWED) else None
+
+
+def face_of_points(points: np.ndarray, shape: tuple[int, ...], score: float, mesh_score: float) -> Face:
+    """The face of dense ``points (468, 3)`` in a photograph of ``shape (H, W, ...)``."""
+    fit, box = fit_rigid_face(points), _box(points)
+    return Face(model_landmarks(points, fit), points, box, score, fit.pose, _inside(box, shape), mesh_score)
+
+
 def _search(photo: np.ndarray) -> list[Face]:
     """Faces by the networks; more copies are searched only where the first ones show no clear face, or small ones."""
     height, width = photo.shape[:2]
@@ -234,10 +261,8 @@ def _fit(photo: np.ndarray, candidate: Candidate) -> _Fitted:
 def _fit_upright(photo: np.ndarray, candidate: Candidate) -> _Fitted:
     mesh = fit_face_mesh(photo, candidate.landmarks, canonical_face().mirror)
     fit = fit_rigid_face(mesh.points)
-    landmarks = model_landmarks(mesh.points, fit)
-    apart = float(np.hypot(*(landmarks - candidate.landmarks).T).mean()) / max(fit.scale, 1e-9)
-    box = _box(mesh.points)
-    face = Face(landmarks, mesh.points, box, candidate.score, fit.pose, _inside(box, photo), mesh.score)
+    face = face_of_points(mesh.points, photo.shape, candidate.score, mesh.score)
+    apart = float(np.hypot(*(face.landmarks - candidate.landmarks).T).mean()) / max(fit.scale, 1e-9)
     return _Fitted(candidate, face, fit.error, apart)
 
 
@@ -254,7 +279,7 @@ def _bare_face(photo: np.ndarray, landmarks: np.ndarray) -> Face:
     rotation = np.array(((x, y, 0.0), (-y, x, 0.0), (0.0, 0.0, 1.0)))
     fit = RigidFit(float(np.hypot(*(right - left))), rotation, (left + right) / 2, 0.0)
     box = _box(fit.project(canonical_face().points))
-    return Face(landmarks, None, box, 0.0, None, _inside(box, photo), 0.0)
+    return Face(landmarks, None, box, 0.0, None, _inside(box, photo.shape), 0.0)
 
 
 def _box(points: np.ndarray) -> Box:
@@ -262,9 +287,9 @@ def _box(points: np.ndarray) -> Box:
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def _inside(box: Box, photo: np.ndarray) -> bool:
+def _inside(box: Box, shape: tuple[int, ...]) -> bool:
     x0, y0, x1, y1 = box
-    height, width = photo.shape[:2]
+    height, width = shape[:2]
     slack = TOUCH * max(x1 - x0, y1 - y0) + 0.5
     return min(x0, y0) >= -slack and x1 <= width - 1 + slack and y1 <= height - 1 + slack
 

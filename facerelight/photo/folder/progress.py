@@ -1,4 +1,4 @@
-"""How far a batch is: a line that is written over on a terminal, a line now and then elsewhere."""
+"""How far a batch or a film is: a line that is written over on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ EVERY = 0.2, 30.0  # seconds between lines, on a terminal and elsewhere
 
 
 class Progress:
-    """Counts photos that ended.
+    """Counts photos, or other things, that ended.
 
     Args:
-        total: photos in all.
+        total: of them in all, 0 where that is not known.
         stream: takes the lines.
+        what: they are called.
 
     Example:
         >>> import io
@@ -25,12 +26,12 @@ class Progress:
         '1 of 3 photos, 1 failed, 0.5 a second, 0:04 left'
     """
 
-    def __init__(self, total: int, stream: TextIO) -> None:
-        self.total, self.stream = total, stream
+    def __init__(self, total: int, stream: TextIO, what: str = "photos") -> None:
+        self.total, self.stream, self.what = total, stream, what
         self.done = self.failed = 0
         self._started = self._shown = time.monotonic()
 
-    def step(self, failed: bool) -> None:
+    def step(self, failed: bool = False) -> None:
         """One more has ended."""
         self.done += 1
         self.failed += failed
@@ -42,9 +43,17 @@ class Progress:
         self.stream.write(f"\r\033[K{line}" + "\n" * (self.done == self.total) if terminal else f"{line}\n")
         self.stream.flush()
 
+    def end(self) -> None:
+        """Nothing more comes, though the total said otherwise."""
+        if self.stream.isatty() and self.done != self.total:
+            self.stream.write("\n")
+
     def line(self, seconds: float) -> str:
         """What is done after so many ``seconds``, how fast, and what time is left."""
         rate = self.done / max(seconds, 1e-9)
-        left = round((self.total - self.done) / max(rate, 1e-9))
+        left = round(max(self.total - self.done, 0) / max(rate, 1e-9))
         failed = f", {self.failed} failed" if self.failed else ""
-        return f"{self.done} of {self.total} photos{failed}, {rate:.2g} a second, {left // 60}:{left % 60:02d} left"
+        if not self.total:
+            return f"{self.done} {self.what}{failed}, {rate:.2g} a second"
+        done = f"{self.done} of {self.total} {self.what}{failed}"
+        return f"{done}, {rate:.2g} a second, {left // 60}:{left % 60:02d} left"

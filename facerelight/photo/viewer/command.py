@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["run_viewer", "viewer_parser"]
+__all__ = ["check_side", "run_viewer", "viewer_parser"]
 
 QUALITIES = ("draft", "standard", "reference")
 SIDES = (64, 4000)
@@ -41,8 +41,7 @@ def run_viewer(arguments: Namespace, statistics_folder: Callable[[str | None, st
         LandmarksNotFoundError: no face.
     """
     output = _output(arguments)
-    if not SIDES[0] <= arguments.side <= SIDES[1]:
-        raise ValueError(f"side: expected {SIDES[0]} to {SIDES[1]} pixels, got {arguments.side}")
+    check_side(arguments.side)
     from facerelight.photo.scenes import parse_landmarks
 
     marks = None if arguments.landmarks is None else parse_landmarks(arguments.landmarks)
@@ -52,19 +51,16 @@ def run_viewer(arguments: Namespace, statistics_folder: Callable[[str | None, st
 
     pixels = eight_bits(read_photo(arguments.photo).pixels)
 
-    import cv2
     import numpy as np
 
     from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.photo.session import PhotoRelighter
-    from facerelight.photo.viewer.page import viewer_page
+    from facerelight.photo.viewer.page import shrunken, viewer_page
 
-    shown = min(1.0, arguments.side / max(pixels.shape[:2]))
-    if shown < 1:
-        height, width = (max(1, round(side * shown)) for side in pixels.shape[:2])
-        scale = np.array((width / pixels.shape[1], height / pixels.shape[0]))
-        pixels = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
-        marks = None if marks is None else [tuple((np.array(mark) + 0.5) * scale - 0.5) for mark in marks]
+    size = np.array(pixels.shape[1::-1])
+    pixels = shrunken(pixels, arguments.side)
+    scale = np.array(pixels.shape[1::-1]) / size
+    marks = None if marks is None else [tuple((np.array(mark) + 0.5) * scale - 0.5) for mark in marks]
     folder = statistics_folder(arguments.statistics, arguments.quality)
     session = PhotoRelighter(pixels, marks, StatisticalRelighter.from_pretrained(folder))
     page = viewer_page(session, Path(arguments.photo).name)
@@ -75,6 +71,16 @@ def run_viewer(arguments: Namespace, statistics_folder: Callable[[str | None, st
     report = {"output": str(output), "bytes": len(page.encode()), "warnings": session.warnings}
     print(json.dumps(report) if arguments.json else output)
     return 0
+
+
+def check_side(side: int) -> None:
+    """Whether a photo of ``side`` pixels can be shown.
+
+    Raises:
+        ValueError: if not.
+    """
+    if not SIDES[0] <= side <= SIDES[1]:
+        raise ValueError(f"side: expected {SIDES[0]} to {SIDES[1]} pixels, got {side}")
 
 
 def _output(arguments: Namespace) -> Path:

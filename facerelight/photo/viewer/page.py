@@ -12,12 +12,14 @@ from string import Template
 import numpy as np
 from PIL import Image
 
+from facerelight.photo.faces.copies import shrink
 from facerelight.photo.files.pixels import as_bytes, as_rgb
+from facerelight.photo.files.profiles import eight_bits
 from facerelight.photo.session import PhotoRelighter
 from facerelight.photo.viewer.contents import session_contents
 from facerelight.photo.viewer.packing import pack
 
-__all__ = ["viewer_page"]
+__all__ = ["shrunken", "viewer_page"]
 
 SCRIPTS = (
     "unpack", "raster", "light", "dome", "shade", "ratio", "colour", "gl", "model", "presets", "ball", "page",
@@ -50,6 +52,11 @@ def viewer_page(session: PhotoRelighter, name: str = "portrait.jpg") -> str:
         data=pack(*session_contents(session)),
         facts=json.dumps(about).replace("<", "\\u003c"),
     )
+
+
+def shrunken(pixels: np.ndarray, side: int) -> np.ndarray:
+    """``pixels (H, W, 3)`` as uint8, averaged down to ``side`` pixels on their longer side where they are larger."""
+    return shrink(eight_bits(pixels), side)
 
 
 def _photo(pixels: np.ndarray) -> str:

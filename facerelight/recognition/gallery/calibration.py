@@ -13,9 +13,9 @@ import torch
 from scipy.stats import t as student
 from torch import Tensor
 
-from facerelight.recognition.gallery.recognizer import Levels
+from facerelight.recognition.gallery.recognizer import Levels, Recognizer, Template
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "calibrate", "stranger_scores"]
 
 PRIOR_PEOPLE = 5  # that the learned levels count for
 PERSONAL_PAIRS = 5.0  # scores that the common level counts for in a template's own
@@ -48,6 +48,26 @@ class Calibration(NamedTuple):
             raise ValueError(f"far: expected a false accept rate between 0 and 1, got {far}")
         alone = -torch.expm1(torch.log1p(torch.tensor(-far, dtype=torch.float64)) / max(templates, 1))
         return float(student.isf(float(alone), self.freedom))
+
+
+def stranger_scores(recognizer: Recognizer, templates: Template, owners: Tensor) -> Tensor:
+    """What everybody scores with the others' templates as a stranger would, themselves not enrolled: ``(M, M)`` of M
+    templates, 0 where both are of one person.
+
+    Args:
+        recognizer: which scores.
+        templates: of it.
+        owners: ``(M,)`` numbers, whose they are.
+    """
+    scores = torch.zeros(len(owners), len(owners))
+    for person in owners.unique():
+        others = (owners != person).nonzero()[:, 0]
+        if len(others):
+            index = recognizer.index({part: values[others] for part, values in templates.items()}, owners[others])
+            for row in (owners == person).nonzero()[:, 0].tolist():
+                found, columns = index.search(templates["probe"][row], len(others))
+                scores[row, others[columns]] = found
+    return scores
 
 
 def calibrate(scores: Tensor, owners: Tensor, templates: Tensor, levels: Levels, personal: bool) -> Calibration:

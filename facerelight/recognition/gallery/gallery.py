@@ -14,7 +14,7 @@ import torch
 from facerelight.photo.faces.landmarks import Face, LandmarksNotFoundError, find_faces
 from facerelight.photo.files.disk import read_photo
 from facerelight.photo.files.pixels import as_bytes
-from facerelight.recognition.gallery.calibration import Calibration, calibrate
+from facerelight.recognition.gallery.calibration import Calibration, calibrate, stranger_scores
 from facerelight.recognition.gallery.file import load_templates, save_templates
 from facerelight.recognition.gallery.recognizer import Index, Recognizer, Template
 
@@ -168,22 +168,24 @@ class Gallery:
     @cached_property
     def calibration(self) -> Calibration:
         """What scores mean here: the people enrolled are strangers to each other."""
-        numbers = {name: number for number, name in enumerate(dict.fromkeys(self._owners))}
-        owners = torch.tensor([numbers[name] for name in self._owners])
+        owners = self._numbers
         most = CALIBRATED_ON if set(self._templates) == {"probe"} else COMPARED
         chosen = torch.linspace(0, len(owners) - 1, min(most, len(owners))).round().long()
-        index = self.recognizer.index({part: values[chosen] for part, values in self._templates.items()})
-        scores = torch.zeros(len(chosen), len(chosen))
-        for row, probe in enumerate(self._templates["probe"][chosen]):
-            found, columns = index.search(probe, len(chosen))
-            scores[row, columns] = found
+        part = {part: values[chosen] for part, values in self._templates.items()}
+        scores = stranger_scores(self.recognizer, part, owners[chosen])
         levels, personal = self.recognizer.levels, self.recognizer.personal
         learned = calibrate(scores, owners[chosen], owners[chosen], levels, personal)
         return learned._replace(mean=learned.mean.mean().repeat(len(owners)).index_copy(0, chosen, learned.mean))
 
     @cached_property
     def _index(self) -> Index:
-        return self.recognizer.index(self._templates)
+        return self.recognizer.index(self._templates, self._numbers)
+
+    @cached_property
+    def _numbers(self) -> torch.Tensor:
+        """Whose each template is, as a number."""
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(self._owners))}
+        return torch.tensor([numbers[name] for name in self._owners])
 
     @cached_property
     def _most(self) -> int:
@@ -192,7 +194,7 @@ class Gallery:
 
     def _keep(self, owners: list[str], templates: Template) -> None:
         self._owners, self._templates = owners, templates
-        for derived in ("calibration", "_index", "_most"):
+        for derived in ("calibration", "_index", "_most", "_numbers"):
             self.__dict__.pop(derived, None)
 
     def save(self, path: str | Path) -> None:

@@ -23,23 +23,25 @@ from facerelight.photo.faces.landmarks import Face
 from facerelight.recognition.classifier import moved
 from facerelight.recognition.embedding import warp
 from facerelight.recognition.exemplars import exemplar_lights
-from facerelight.recognition.gallery.recognizer import Index, Levels, Template
+from facerelight.recognition.gallery.calibration import PRIOR_PEOPLE
+from facerelight.recognition.gallery.recognizer import Levels, Template
 from facerelight.recognition.photometric import WeberFaces
 from facerelight.recognition.subspaces import principal_subspace
 
-__all__ = ["IndividualRecognizer", "NearestPhotoRecognizer"]
+__all__ = ["IndividualRecognizer", "NearestPhotoRecognizer", "SubspaceIndex", "leave_out_shared"]
 
-VERSION = 4
+VERSION = 5
 PROBE = CropFrame(240, 210, 0.125)  # a pixel of the canonical crop each, with room to move
 FINE = CropFrame(128, 112)  # two thirds of that: where pictures are compared
 FINEST = 2 / 3  # pixels of FINE: the finest contrast that counts
 MODULES = (6, 5)  # down, across
-DIMENSION = 9
+DIMENSION = 4
 TURNS, SCALES, SHIFT = (-1.5, 0.0, 1.5), (0.975, 1.0, 1.025), 2  # degrees, factors, pixels of FINE
 FACE = 0.95  # of the outline; hair and background are left out ...
 LEAST = 0.3  # ... and modules of which less than that is face
 TOGETHER = 64  # templates compared at once
-PIE_LEVELS = Levels(0.178, 0.015, 1.25, -2.27)
+STRANGERS = 0.188  # cosine of different people of CMU PIE, for where few are enrolled
+PIE_LEVELS = Levels(0.002, 0.015, 1.60, -3.25)
 
 
 class IndividualRecognizer:
@@ -86,9 +88,9 @@ class IndividualRecognizer:
         relit = warp_to_crop(relit[None], up[None], FINE)[0]
         return torch.cat((keep_detail(relit, fine, 1.0), fine[None]))
 
-    def index(self, templates: Template) -> Index:
+    def index(self, templates: Template, owners: Tensor) -> SubspaceIndex:
         """All are compared."""
-        return _AllSubspaces(templates, self._features)
+        return SubspaceIndex(templates, owners, self._features)
 
 
 class NearestPhotoRecognizer(IndividualRecognizer):
@@ -105,16 +107,47 @@ class NearestPhotoRecognizer(IndividualRecognizer):
         return fine[None]
 
 
-class _AllSubspaces:
-    def __init__(self, templates: Template, features: nn.Module) -> None:
-        self.mean, self.basis, self._features = templates["mean"], templates["basis"], features
+class SubspaceIndex:
+    """Everybody's subspaces. Scores are cosines less what the probe has in common with others, see
+    :func:`leave_out_shared`.
 
-    def search(self, probe: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    Args:
+        templates: "mean" and "basis", see :meth:`IndividualRecognizer.enroll`.
+        owners: ``(M,)`` numbers, whose the templates are.
+        features: of pictures ``(V, 128, 112)``.
+    """
+
+    def __init__(self, templates: Template, owners: Tensor, features: nn.Module) -> None:
+        self.mean, self.basis, self._features = templates["mean"], templates["basis"], features
+        self.owners = owners
+
+    def cosines(self, probe: Tensor) -> Tensor:
+        """Of a probe ``(240, 210)`` with every template, ``(M,)``."""
         views = _modules(self._features(_views(probe)))  # (B, V, D)
         parts = zip(self.mean.split(TOGETHER), self.basis.split(TOGETHER), strict=True)
-        scores = torch.cat([_cosines(views, mean, basis) for mean, basis in parts])
+        return torch.cat([_cosines(views, mean, basis) for mean, basis in parts])
+
+    def search(self, probe: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """See :class:`facerelight.recognition.gallery.recognizer.Index`."""
+        scores = leave_out_shared(self.cosines(probe), self.owners)
         best = scores.topk(min(count, len(scores)))
         return best.values, best.indices
+
+
+def leave_out_shared(cosines: Tensor, owners: Tensor) -> Tensor:
+    """Less what a probe has in common with everybody but the likeliest person (T-norm, Auckenthaler et al. 2000): in
+    hard light it resembles nobody, and in a soft one all.
+
+    Args:
+        cosines: ``(M,)`` of one probe with M templates.
+        owners: ``(M,)`` numbers, whose the templates are.
+
+    Example:
+        >>> leave_out_shared(torch.tensor([0.7, 0.2, 0.3]), torch.arange(3))
+        tensor([ 0.4943, -0.0057,  0.0943])
+    """
+    others = cosines[owners != owners[cosines.argmax()]]
+    return cosines - (others.sum() + PRIOR_PEOPLE * STRANGERS) / (len(others) + PRIOR_PEOPLE)
 
 
 def _cosines(views: Tensor, mean: Tensor, basis: Tensor) -> Tensor:

@@ -57,6 +57,6 @@ class Recognizer(Protocol):
         """A template of one face, ``(1, ...)`` each; its part "probe" is what :meth:`describe` says of it."""
         ...
 
-    def index(self, templates: Template) -> Index:
-        """Templates arranged for search."""
+    def index(self, templates: Template, owners: Tensor) -> Index:
+        """Templates arranged for search; ``owners (M,)`` are numbers that say whose they are."""
         ...

@@ -173,7 +173,10 @@ class Page {
     this.controls();
     if (said) this.speak(said);
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.draw(false), REST);
+    this.timer = setTimeout(() => {
+      this.draw(false);
+      window.dispatchEvent(new Event("lightchange"));
+    }, REST);
     if (this.pending) return;
     this.pending = true;
     requestAnimationFrame(() => {
