@@ -37,7 +37,6 @@ PACKAGED = Path(__file__).parent / "data" / "standard"
 
 
 FIRST_RELEASE = "0.1"
-WORLD = 2  # of the rendered people: raised whenever a config would render others
 SOURCES = ("ict", "makehuman")  # of heads that come with the package
 MESH_FILES = (".obj", ".ply", ".glb", ".txt")  # meshes and their marked points
 
@@ -123,7 +122,7 @@ class TrainConfig:
 
     def key(self) -> str:
         """A short name that changes whenever the statistics would."""
-        text = json.dumps([FORMAT_VERSION, WORLD, self.identity()], sort_keys=True)
+        text = json.dumps([FORMAT_VERSION, self.identity()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

@@ -20,7 +20,7 @@ __all__ = ["Look", "paint"]
 @dataclass(frozen=True)
 class Look:
     """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``sockets``,
-    ``iris``, ``stubble``, ``hair``. ``gaze``: where the irises are off the eyes' middles, aside and up."""
+    ``iris``, ``stubble``, ``hair``."""
 
     tone: float
     brows: float
@@ -36,7 +36,6 @@ class Look:
     grain: float
     seed: int
     material: Material
-    gaze: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def random(cls, rng: np.random.Generator, domain: Domain) -> Look:
@@ -62,7 +61,6 @@ class Look:
                 fill=float(domain.fill * rng.uniform(0.5, 1.5)),
                 side_light=domain.side_light,
             ),
-            gaze=(float(rng.normal(0, 0.02)), float(rng.normal(0.025, 0.015))),  # upper lids touch the irises
         )
 
 
@@ -97,8 +95,7 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
     surface = torch.exp(skin) * shade * (1 - hair) + hair * (1 - look.hair) * 0.5
     # eyes: white sclera, dark iris and pupil, in the direction of gaze
-    aside, up = look.gaze
-    from_axis = torch.hypot(torch.where(x > 0, x - 0.5, x + 0.5) - aside, y - up)
+    from_axis = torch.hypot(side - 0.5, y)
     eye = 0.45 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
     return torch.where(is_eye > 0.5, eye, surface).clamp(0.01, 1.5)
 

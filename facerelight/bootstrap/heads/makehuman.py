@@ -82,16 +82,8 @@ class MakeHumanHeads:
         shapes = [name for name in self._data if name.startswith("shape/")]
         for name, share in zip(shapes, rng.dirichlet((0.3,) * len(shapes)) * rng.uniform(0, 0.8), strict=True):
             recipe[name] = float(share)
-        recipe |= {f"expression/{name}": weight for name, weight in (_at_ease(rng) | self.expression).items()}
+        recipe |= {f"expression/{name}": weight for name, weight in self.expression.items()}
         return recipe
-
-
-def _at_ease(rng: np.random.Generator) -> dict[str, float]:
-    """The face of somebody who is photographed: lids that are not wide open, a smile or none, brows a little drawn."""
-    lids, squint = rng.uniform(0.05, 0.35), rng.uniform(0, 0.3)
-    smile, frown = max(0.0, rng.normal(0, 0.25)), max(0.0, rng.normal(0, 0.15))
-    both = {"eyeBlink": lids, "eyeSquint": squint, "mouthSmile": smile, "cheekSquint": 0.5 * smile, "browDown": frown}
-    return {f"{name}{side}": float(weight) for name, weight in both.items() for side in ("Left", "Right")}
 
 
 def _tent(x: float) -> tuple[float, float, float]:
