@@ -29,11 +29,11 @@ def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Doma
     return TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0, domain=domain, fit=options)
 
 
-def read_domains(path: Path | None, folds: int) -> list[Domain]:
+def read_domains(path: Path | None, folds: int, pitch: float) -> list[Domain]:
     """The rendered world of each fold, as ``search_domain.py`` found it on that fold's other people; without a file the
-    package's own."""
+    package's own, with that ``pitch``."""
     if path is None:
-        return [Domain()] * folds
+        return [Domain(pitch=pitch)] * folds
     found = [Domain(**values) for values in json.loads(path.read_text())["folds"]]
     if len(found) != folds:
         raise SystemExit(f"{path}: expected domains of {folds} folds, got {len(found)}")
@@ -74,8 +74,9 @@ def main() -> int:
     parser.add_argument(
         "--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted"
     )
+    parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict, or a path")
     parser.add_argument(
-        "--source", default="makehuman", help="of the rendered heads: makehuman, ict_heads.npz or a folder of meshes"
+        "--pitch", type=float, default=Domain().pitch, help="degrees by which rendered heads look up: 0 with ict"
     )
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_results("json")
@@ -94,7 +95,7 @@ def main() -> int:
     )
     widths: list[float] = []
 
-    domains = iter(read_domains(args.domain, args.folds))
+    domains = iter(read_domains(args.domain, args.folds, args.pitch))
 
     register = (args.registration or ("none" if args.statistics == "synthetic" else "affine")) == "affine"
 
