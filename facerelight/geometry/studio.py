@@ -14,7 +14,7 @@ STUDIO: dict[str, tuple[Lamp, ...]] = {
     "loop": (Lamp(32, 32, size=8, power=1.1), Lamp(-40, 5, size=25, power=0.2)),
     "split": (Lamp(78, 8, size=8, power=1.6),),
     "clamshell": (Lamp(0, 42, size=18, power=0.8), Lamp(0, -38, size=25, power=0.4)),
-    "rim": (Lamp(125, 25, size=6, power=1.3), Lamp(-125, 25, size=6, power=1.3), Lamp(0, 10, size=25, power=0.22)),
+    "rim": (Lamp(140, 25, size=8, power=1.6), Lamp(-140, 25, size=8, power=1.6), Lamp(0, 10, size=25, power=0.25)),
 }
 """Lamps by the name of the set-up: a triangle of light on the far cheek, a shadow under the nose, a loop of it beside
 the nose, a half in shade, light from above and below, and from behind."""

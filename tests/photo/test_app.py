@@ -17,6 +17,7 @@ from PIL import Image
 from test_viewer import SOFTWARE, browsers
 
 from facerelight.cli import main
+from facerelight.photo.app.server import asked_from_here
 from facerelight.photo.app.upload import check_upload, photo_page
 
 
@@ -36,6 +37,24 @@ def test_large_files_and_bombs_are_refused_undecoded(tmp_path: Path) -> None:
         bomb.write_bytes(head)
         with pytest.raises(ValueError, match=said):
             check_upload(bomb)
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "answered"),
+    [
+        ("127.0.0.1:7860", None, True),
+        ("localhost:7860", "http://localhost:7860", True),
+        ("127.0.0.1:7860", "http://127.0.0.1:7860", True),
+        ("evil.example", None, False),
+        ("127.0.0.1.evil.example:7860", None, False),
+        ("127.0.0.1:7860", "http://evil.example", False),
+        ("127.0.0.1:7860", "null", False),
+        (None, None, False),
+    ],
+)
+def test_only_pages_of_this_machine_are_answered(host: str | None, origin: str | None, answered: bool) -> None:
+    given = ((b"host", host), (b"Origin", origin))
+    assert asked_from_here([(name, value.encode()) for name, value in given if value is not None]) is answered
 
 
 def test_no_photo_is_said_without_the_place_it_lies_in(tmp_path: Path) -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from facerelight.photo.app.upload import MOST_BYTES, photo_page
 
 if TYPE_CHECKING:
     from facerelight.inference.relighter import StatisticalRelighter
 
-__all__ = ["HOST", "make_app", "serve"]
+__all__ = ["HOST", "asked_from_here", "make_app", "serve"]
 
 HOST = "127.0.0.1"
+HERE = (HOST, "localhost")  # by which pages of this machine are asked for
 NEEDED = 'the app needs Gradio; pip install "facerelight[app]"'
 # Gradio's page names a script of cdnjs.cloudflare.com and fonts of Google; with this the browser asks for neither.
 POLICY = (
@@ -99,16 +101,34 @@ def _theme() -> Any:
     return themes.Default(font=["system-ui", "sans-serif"], font_mono=["monospace"])
 
 
+def asked_from_here(headers: Iterable[tuple[bytes, bytes]]) -> bool:
+    """Whether a request names this machine, and comes from one of its own pages or from none: another site's page may
+    not send photos here, nor a name that has been made to point here.
+
+    Example:
+        >>> asked_from_here([(b"host", b"127.0.0.1:7860")]), asked_from_here([(b"host", b"example.org")])
+        (True, False)
+    """
+    named = {name.lower(): value.decode("latin-1") for name, value in headers}
+    host, origin = urlsplit(f"//{named.get(b'host', '')}"), urlsplit(named.get(b"origin", ""))
+    return host.hostname in HERE and (b"origin" not in named or origin.hostname in HERE)
+
+
 def _policy() -> Any:
     from starlette.middleware import Middleware
+    from starlette.responses import PlainTextResponse
 
     class Policy:
-        """Says to the browser what a page may ask for."""
+        """Says to the browser what a page may ask for, and answers no pages of other places."""
 
         def __init__(self, app: Any) -> None:
             self.app = app
 
         async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+            if scope["type"] in ("http", "websocket") and not asked_from_here(scope["headers"]):
+                await PlainTextResponse("asked from another place", 403)(scope, receive, send)
+                return
+
             async def say(message: Any) -> None:
                 if message["type"] == "http.response.start":
                     message["headers"].append((b"content-security-policy", POLICY.encode()))

@@ -21,7 +21,7 @@ __all__ = ["FILES", "layer_pictures", "needle_picture", "write_layers"]
 
 FILES = {
     "reflectance.png": "sRGB; decode it, multiply, add, encode: reflectance x shading + highlights is the photo",
-    "shading.png": "sRGB; 1 is middle grey (137 of 255), white is 4",
+    "shading.png": "sRGB; 1 is middle grey (137 of 255), white is 4; times what of the reflectance is above white",
     "highlights.png": "sRGB; what skin mirrors, to be added",
     "normals.png": "(n + 1) / 2, linear: red to image-right, green up, blue to the camera; beyond the face a guess",
     "needles.png": "the same as needles: each points where the surface faces, and is longer the more it turns away",
@@ -40,8 +40,11 @@ def layer_pictures(parts: Decomposition) -> Iterator[tuple[str, np.ndarray, np.n
     """Name, values ``(H, W, 3)`` or ``(H, W)`` uint16 (needles: uint8), and alpha ``(H, W)`` uint16 or None of every
     picture, made one after the other."""
     cover = _codes(parts.matte)
-    yield "reflectance.png", _srgb(parts.reflectance), cover
-    yield "shading.png", _srgb(parts.shading, SHADING_WHITE), cover
+    reflectance = parts.reflectance
+    yield "reflectance.png", _srgb(reflectance), cover
+    above = np.maximum(reflectance, 1, out=reflectance)  # white goes no higher: the rest is put on the shading
+    yield "shading.png", _srgb(above * parts.shading, SHADING_WHITE), cover
+    del reflectance, above
     yield "highlights.png", _srgb(parts.highlights), None
     normals = parts.normals
     normals[~normals.any(-1)] = (0, 0, 1)
