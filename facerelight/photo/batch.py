@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -85,8 +86,11 @@ def find_jobs(
     Raises:
         ValueError: a place that cannot be written to, a file that exists already unless ``force``, two results of one
             name, or a file where a folder should be named.
+        FileNotFoundError: one photo, or folder, that is not there.
     """
     batch = is_batch(photos, same_person)
+    if not batch and not Path(photos[0]).exists():  # before the place of its result is judged
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), photos[0])
     into = Path(output or (DEFAULT_FOLDER if batch else DEFAULT_OUTPUT))
     found = [pair for photo in photos for pair in _expand(Path(photo), into)]
     paths = [path for path, _ in found]

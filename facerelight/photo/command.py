@@ -72,7 +72,7 @@ def relight_parser() -> ArgumentParser:
     option("--source-light", metavar="AZ,EL", help="where the photo's own light stands, if it is known")
     option = parser.add_argument_group("the results").add_argument
     places = "file (default: relit.png), several lights add _AZ_EL; for several photos a folder (default: relit)"
-    option("--output", metavar="PLACE", help=places)
+    option("-o", "--output", metavar="PLACE", help=places)
     option("--force", action="store_true", help="overwrite files that exist")
     option("--workers", type=int, default=1, help="processes that relight a batch (default: 1)")
     option("--resume", action="store_true", help="go on with a batch: leave out what manifest.csv says is done")

@@ -185,6 +185,15 @@ def test_bad_options(
     assert [path.name for path in Path().iterdir()] == ["a.png"]
 
 
+@pytest.mark.parametrize("missing", ["nosuch", "nosuch.png"])
+def test_what_is_not_there_is_named_before_its_output(
+    missing: str, made: list[FakeSession], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(missing, "-o", "folder") == 2
+    assert capsys.readouterr().err.strip().endswith(f"{missing}: No such file or directory")
+    assert not list(Path().iterdir())
+
+
 def test_nothing_is_overwritten_without_a_word(made: list[FakeSession], capsys: pytest.CaptureFixture[str]) -> None:
     photo("relit.png")
     before = Path("relit.png").read_bytes()
