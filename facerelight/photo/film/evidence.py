@@ -1,4 +1,4 @@
-"""What the frames of one shot say together of the person and of the light: a running posterior.
+"""What the frames in which one face is followed say together of the person and of the light: a running posterior.
 
 Frames in which the head is turned alike are observations of one image under one light, and their mean says as much as
 all of them; other turns of the head are further inputs, each with its own light, as the thesis's several photographs
@@ -31,7 +31,7 @@ class _View:
 
 
 class Evidence:
-    """Of one person in one shot.
+    """Of one face that is followed.
 
     Args:
         relighter: the model.

@@ -160,9 +160,9 @@ class FilmRelighter:
 
     def _frame(self, tracked: Tracked, key: bool) -> FilmFrame:
         assert tracked.face is not None
-        if tracked.shot not in self._kept:
-            self._kept = {tracked.shot: (Evidence(self.relighter, *self._known), SteadyMatte())}
-        evidence, steady = self._kept[tracked.shot]
+        if tracked.run not in self._kept:  # another face may be another person
+            self._kept = {tracked.run: (Evidence(self.relighter, *self._known), SteadyMatte())}
+        evidence, steady = self._kept[tracked.run]
         frame = FilmFrame(tracked.picture.pixels, tracked.face, evidence, steady, key)
         if key:
             for line in frame.warnings:

@@ -1,0 +1,40 @@
+"""Films with several people, and films one after the other: what is known of one does not go over to the next."""
+
+import numpy as np
+import pytest
+
+from facerelight import Lamp
+from facerelight.photo import load_relighter
+from facerelight.photo.faces.landmarks import find_faces
+from facerelight.photo.film import relighter as film_relighter
+from facerelight.photo.film.relighter import FilmRelighter, Lighting
+from facerelight.photo.film.track import Picture, Tracked
+
+SIDE = 256
+
+
+@pytest.fixture(scope="module")
+def people() -> list[Tracked]:
+    """Two faces that differ, found one after the other in one shot."""
+    photo = pytest.importorskip("skimage.data", reason="scikit-image carries the photo").astronaut()
+    one = np.ascontiguousarray(photo[:SIDE, 96 : 96 + SIDE])
+    two = np.ascontiguousarray(one[:, ::-1] // (1, 2, 2)).astype(np.uint8)
+    faces = [(pixels, find_faces(pixels)[0]) for pixels in (one, two)]
+    return [Tracked(Picture(pixels, k / 25), face, 1.0, 0, k + 1) for k, (pixels, face) in enumerate(faces)]
+
+
+@pytest.fixture
+def film(monkeypatch: pytest.MonkeyPatch) -> FilmRelighter:
+    monkeypatch.setattr(film_relighter, "follow", lambda tracked, _: iter(tracked))
+    return FilmRelighter(Lighting([Lamp(60, 20)]), load_relighter())
+
+
+def relit(film: FilmRelighter, tracked: list[Tracked]) -> list[np.ndarray]:
+    return [picture.pixels for picture in film.frames(tracked)]
+
+
+def test_two_people_in_one_shot_are_two(film: FilmRelighter, people: list[Tracked]) -> None:
+    together = relit(film, people)
+    alone = [relit(film, [one])[0] for one in people]
+    assert not np.array_equal(together[1], people[1].picture.pixels)
+    assert all(np.array_equal(*pair) for pair in zip(together, alone, strict=True))
