@@ -38,3 +38,13 @@ def test_two_people_in_one_shot_are_two(film: FilmRelighter, people: list[Tracke
     alone = [relit(film, [one])[0] for one in people]
     assert not np.array_equal(together[1], people[1].picture.pixels)
     assert all(np.array_equal(*pair) for pair in zip(together, alone, strict=True))
+
+
+def test_a_film_knows_nothing_of_the_film_before_it(film: FilmRelighter, people: list[Tracked]) -> None:
+    one, two = (person._replace(run=1) for person in people)
+    alone = relit(film, [two])[0]
+    facts = film.seen, film.lit, film.keys, film.shots, film.source_angles, film.warnings
+    relit(film, [one])
+    assert np.array_equal(relit(film, [two])[0], alone)
+    assert facts == (film.seen, film.lit, film.keys, film.shots, film.source_angles, film.warnings)
+    assert facts[:4] == (1, 1, 1, 1)

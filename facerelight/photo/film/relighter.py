@@ -84,17 +84,22 @@ class FilmRelighter:
         self.lighting, self.choose = lighting, choose
         self.relighter = relighter or load_relighter()
         self._known: tuple[Method, Tensor | None] = method, source_light
+        self._begin()
+
+    def _begin(self) -> None:
         self.seen = self.lit = self.keys = self.shots = 0
         self.warnings: dict[str, str] = {}  # the first of each kind
         self.source_angles: tuple[float, float] | None = None
         self._kept: dict[int, tuple[Evidence, SteadyMatte]] = {}
 
     def frames(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
-        """The ``pictures`` relit, in their order; those without a face stay as they are.
+        """The ``pictures`` of one film relit, in their order; those without a face stay as they are. What was known of
+        an earlier film is forgotten.
 
         Raises:
             ValueError: lights that cannot be used.
         """
+        self._begin()
         threads = torch.get_num_threads()
         if threads < 2:
             for job in self._jobs(pictures):
