@@ -249,9 +249,10 @@ def _said(source: Path, output: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, RuntimeError) as error:
-        if str(source) in str(error) or str(output) in str(error):
+        if isinstance(error, _av().FFmpegError) or str(source) in str(error) or str(output) in str(error):
             raise
-        raise type(error)(f"{source}: {error}") from error
+        kind = ValueError if isinstance(error, ValueError) else RuntimeError
+        raise kind(f"{source}: {error}") from error
 
 
 def _av() -> Any:
