@@ -1,11 +1,13 @@
 """Films on disk that are damaged, joined, or hold more than a picture and sound."""
 
 from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from facerelight.photo.film.times import Times
 from facerelight.photo.film.track import Picture
 from facerelight.photo.film.video import convert_film
 
@@ -51,3 +53,44 @@ def test_errors_on_the_way_name_the_film(tmp_path: Path, raised: Exception, kind
         convert_film(written(tmp_path / "in.mp4"), tmp_path / "out.mp4", failing)
     assert type(caught.value) is kind
     assert [path.name for path in tmp_path.iterdir()] == ["in.mp4"]
+
+
+def test_joined_recordings_are_written_one_behind_the_other(tmp_path: Path) -> None:
+    part = written(tmp_path / "part.ts").read_bytes()
+    (tmp_path / "in.ts").write_bytes(part * 3)
+    seen: list[float] = []
+
+    def watched(pictures: Iterator[Picture]) -> Iterator[Picture]:
+        for picture in pictures:
+            seen.append(picture.time)
+            yield picture
+
+    lost = convert_film(tmp_path / "in.ts", tmp_path / "out.mp4", watched)
+    assert lost == ["the film's times go back after 0.5 s: what follows is put behind it"]
+    with av.open(str(tmp_path / "out.mp4")) as film:
+        frames = list(film.decode(video=0))
+    with av.open(str(tmp_path / "out.mp4")) as film:
+        heard = [float(packet.pts * packet.time_base) for packet in film.demux(audio=0) if packet.size]
+    times = [float(frame.time) for frame in frames]
+    assert len(times) == 3 * FRAMES
+    assert min(np.diff(times)) > 0
+    assert max(np.diff(times)) < 2.5 / RATE
+    assert min(np.diff(heard)) > 0
+    assert seen == pytest.approx([time - times[0] for time in times], abs=1e-3)
+    bright = np.array([frame.to_ndarray(format="gray").mean() for frame in frames]).reshape(3, FRAMES)
+    assert np.diff(bright).min() > 20  # nothing has changed places
+    sound = np.array(heard).reshape(3, -1)[:, 0] - np.array(times).reshape(3, -1)[:, 0]
+    assert sound == pytest.approx(np.full(3, sound[0]), abs=0.03)  # sound stays with its pictures
+
+
+def test_times_without_a_fault_stay_and_single_faults_move_nothing_else() -> None:
+    rng = np.random.default_rng(0)
+    given = np.cumsum(rng.integers(1, 9, 50)).tolist()
+    times = Times(Fraction(1, 1000), [])
+    assert [times(one) for one in given] == given
+    assert times.back is None
+    assert [times(one) for one in (given[-1], given[-1] - 3, given[-1] + 9)] == [given[-1] + k for k in (1, 2, 9)]
+    assert times(None) == given[-1] + 16  # what is due
+    together = Times(Fraction(1), [], least=0)
+    assert [together(one) for one in (5, 5, 7)] == [5, 5, 7]
+    assert together.back is None

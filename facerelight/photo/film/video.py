@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from facerelight.photo.film.times import Times
 from facerelight.photo.film.track import Picture
 
 if TYPE_CHECKING:
@@ -112,6 +113,10 @@ class _Conversion:
         self.stored_size = first.height, first.width
         self.out = self._picture_out(first)
         self.copies = self._copied_streams()
+        joins: list[Fraction] = []
+        self.times = {  # several subtitles may come at once
+            one: Times(one.time_base, joins, int(one.type != "subtitle")) for one in (self.video, *self.copies)
+        }
         self.made.metadata.update(given.metadata)
 
     def run(self, change: Change) -> None:
@@ -120,18 +125,26 @@ class _Conversion:
                 self.made.mux(packet)
         for packet in self.out.encode(None):
             self.made.mux(packet)
+        back = [times.back for times in self.times.values() if times.back is not None]
+        if back:
+            self.lost.append(f"the film's times go back after {min(back):.1f} s: what follows is put behind it")
 
     def _pictures(self) -> Iterator[Picture]:
         start: float | None = None
         for packet in self.given.demux([self.video, *self.copies]):
             if packet.stream is not self.video:
                 if packet.dts is not None:
+                    later = self.times[packet.stream](packet.dts) - packet.dts
+                    if later:
+                        packet.dts += later
+                        packet.pts = None if packet.pts is None else packet.pts + later
                     packet.stream = self.copies[packet.stream]
                     self.made.mux(packet)
                 continue
             for frame in _decoded(packet):
                 if (frame.height, frame.width) != self.stored_size:  # a film may change its size
                     frame = frame.reformat(self.stored_size[1], self.stored_size[0])
+                frame.pts = self.times[self.video](frame.pts)
                 time = float(frame.time or 0.0)
                 start = time if start is None else start
                 self.stored.append({tag: getattr(frame, tag) for tag in ("pts", "time_base", *TAGS)})
