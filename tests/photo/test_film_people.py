@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 
 from facerelight import Lamp
 from facerelight.photo import load_relighter
 from facerelight.photo.faces.landmarks import find_faces
 from facerelight.photo.film import relighter as film_relighter
+from facerelight.photo.film.evidence import Evidence, angle_between
 from facerelight.photo.film.relighter import FilmRelighter, Lighting
 from facerelight.photo.film.track import Picture, Tracked
 
@@ -48,3 +50,20 @@ def test_a_film_knows_nothing_of_the_film_before_it(film: FilmRelighter, people:
     assert np.array_equal(relit(film, [two])[0], alone)
     assert facts == (film.seen, film.lit, film.keys, film.shots, film.source_angles, film.warnings)
     assert facts[:4] == (1, 1, 1, 1)
+
+
+def test_a_view_turns_with_the_frames_it_is_the_mean_of() -> None:
+    relighter = load_relighter()
+    crop = torch.full((3, *relighter.statistics.size), 0.3)
+    evidence = Evidence(relighter)
+    turns = np.deg2rad((0.0, 3.0, 6.0))
+
+    def turned(angle: float) -> np.ndarray:
+        return np.array(((np.cos(angle), 0, np.sin(angle)), (0, 1, 0), (-np.sin(angle), 0, np.cos(angle))))
+
+    for angle in turns:
+        evidence.add(crop, turned(angle))
+    (view,) = evidence.views
+    assert angle_between(view.rotation, turned(turns.mean())) < 0.01
+    assert view.rotation @ view.rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(view.rotation) == pytest.approx(1)

@@ -24,10 +24,14 @@ MEMORY = 16  # observations: older ones are forgotten, since people walk about a
 class _View:
     def __init__(self, crop: Tensor, rotation: np.ndarray) -> None:
         self.crop, self.rotation, self.count = crop.clone(), rotation, 1
+        self._mean = rotation
 
-    def add(self, crop: Tensor) -> None:
+    def add(self, crop: Tensor, rotation: np.ndarray) -> None:
         self.count += 1
         self.crop += (crop - self.crop) / min(self.count, MEMORY)
+        self._mean = self._mean + (rotation - self._mean) / min(self.count, MEMORY)
+        left, _, right = np.linalg.svd(self._mean)  # of rotations less than APART from each other: no reflection
+        self.rotation = left @ right
 
 
 class Evidence:
@@ -61,7 +65,7 @@ class Evidence:
             view = _View(crop, rotation)
             self.views = [view, *self.views][:VIEWS]
         else:
-            view.add(crop)
+            view.add(crop, rotation)
             self.views = [view, *(one for one in self.views if one is not view)]
         crops = [one.crop for one in self.views]
         known = self.relighter, crops, self.source_light, self.method
