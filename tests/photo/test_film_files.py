@@ -14,6 +14,10 @@ from facerelight.photo.film.video import convert_film
 av = pytest.importorskip("av", reason="the extra video is not installed")
 
 FRAMES, RATE = 6, 10
+CHAPTERS = [
+    {"id": k, "start": start, "end": end, "time_base": Fraction(1, 1000), "metadata": {"title": title}}
+    for k, (start, end, title) in enumerate(((0, 300, "one"), (300, 600, "two")))
+]
 
 
 def written(path: Path) -> Path:
@@ -28,6 +32,21 @@ def written(path: Path) -> Path:
         heard.sample_rate = 44100
         for packet in (*sound.encode(heard), *sound.encode(None), *video.encode(None)):
             film.mux(packet)
+    return path
+
+
+def with_more(path: Path) -> Path:
+    """A film with chapters and a second picture."""
+    with av.open(str(path), "w") as film:
+        pictures = [film.add_stream("libx264", rate=RATE) for _ in range(2)]
+        for video in pictures:
+            video.width, video.height, video.pix_fmt = 64, 64, "yuv420p"
+        film.set_chapters(CHAPTERS)
+        for k in range(FRAMES):
+            for video in pictures:
+                film.mux(video.encode(av.VideoFrame.from_ndarray(np.full((64, 64, 3), 40 + 30 * k, np.uint8))))
+        for video in pictures:
+            film.mux(video.encode(None))
     return path
 
 
@@ -94,3 +113,20 @@ def test_times_without_a_fault_stay_and_single_faults_move_nothing_else() -> Non
     together = Times(Fraction(1), [], least=0)
     assert [together(one) for one in (5, 5, 7)] == [5, 5, 7]
     assert together.back is None
+
+
+@pytest.mark.parametrize("names", [("in.mp4", "out.mp4"), ("in.mkv", "out.mkv"), ("in.mp4", "out.mov")])
+def test_chapters_are_kept_and_it_is_said_what_is_left_out(tmp_path: Path, names: tuple[str, str]) -> None:
+    source, output = (tmp_path / name for name in names)
+    assert convert_film(with_more(source), output, as_it_is) == ["stream 1 (picture) is left out"]
+    with av.open(str(output)) as film:
+        kept = [
+            (float(one["start"] * one["time_base"]), float(one["end"] * one["time_base"]), one["metadata"]["title"])
+            for one in film.chapters()
+        ]
+    assert kept == [(0.0, 0.3, "one"), (0.3, 0.6, "two")]
+
+
+def test_a_file_that_holds_no_chapters_says_so(tmp_path: Path) -> None:
+    lost = convert_film(with_more(tmp_path / "in.mp4"), tmp_path / "out.ts", as_it_is)
+    assert lost == ["stream 1 (picture) is left out", "mpegts holds no chapters: left out"]

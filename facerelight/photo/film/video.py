@@ -40,6 +40,8 @@ CODED_AS = {
 }  # by number of the colour space
 NOT_SRGB = {16: "PQ", 18: "HLG"}  # transfer curves
 STILL_PICTURE = 0x0400  # a stream that is a cover
+UNUSED = 48  # a stream that no reader wants
+WITH_CHAPTERS = ("mp4", "mov", "ipod", "matroska", "webm")
 RATE = Fraction(25)  # frames a second where a film says nothing
 TAGS = ("colorspace", "color_range", "color_primaries", "color_trc")
 
@@ -117,6 +119,7 @@ class _Conversion:
         self.times = {  # several subtitles may come at once
             one: Times(one.time_base, joins, int(one.type != "subtitle")) for one in (self.video, *self.copies)
         }
+        self._keep_chapters()
         self.made.metadata.update(given.metadata)
 
     def run(self, change: Change) -> None:
@@ -189,7 +192,7 @@ class _Conversion:
         return out
 
     def _copied_streams(self) -> dict[Any, Any]:
-        copies = {}
+        copies, chapters = {}, self.given.chapters()
         for stream in self.given.streams:
             if stream is self.video:
                 continue
@@ -199,7 +202,17 @@ class _Conversion:
                 copies[stream].metadata.update(stream.metadata)
             elif stream.type in ("audio", "subtitle"):
                 self.lost.append(f"{self.made.format.name} holds no {_name(stream)} ({stream.type}): left out")
+            elif not (int(stream.discard) >= UNUSED and chapters):  # chapters may be a stream as well
+                kind = {"video": "picture", None: "unknown"}.get(stream.type, stream.type)
+                self.lost.append(f"stream {stream.index} ({kind}) is left out")
         return copies
+
+    def _keep_chapters(self) -> None:
+        chapters = self.given.chapters()
+        if chapters and self.made.format.name in WITH_CHAPTERS:
+            self.made.set_chapters(chapters)
+        elif chapters:
+            self.lost.append(f"{self.made.format.name} holds no chapters: left out")
 
 
 def _probed(path: Path) -> tuple[FilmFacts, VideoFrame]:
