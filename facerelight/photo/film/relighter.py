@@ -123,7 +123,10 @@ class FilmRelighter:
             over = tracked is None or tracked.face is None or (waiting and tracked.run != waiting[-1].tracked.run)
             if over and waiting:
                 assert key is not None
-                last = make_key(waiting[-1].frame, self._light(waiting[-1])) if len(waiting) > 1 else key
+                last = key
+                if len(waiting) > 1:
+                    last = make_key(waiting[-1].frame, self._light(waiting[-1]))
+                    self.keys += 1
                 yield from self._between(waiting, key, last, len(waiting) - 1)
                 waiting, key, shaped = [], None, None
             if tracked is None:
