@@ -7,6 +7,7 @@ import math
 import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -105,12 +106,18 @@ def run_relight(arguments: Namespace, statistics_folder: Callable[[str | None, s
 
         moving, arguments.light = take_moving(arguments.light, arguments.size)
         return run_film(arguments, moving, _request(arguments), _loader(arguments, statistics_folder))
-    request = _request(arguments)
-    places = arguments.output, arguments.variance
     if arguments.workers < 1:
         raise ValueError(f"workers: expected at least 1 process, got {arguments.workers}")
     batch = is_batch(arguments.photo, arguments.same_person)
-    share = join_processes() if batch else Share()
+    with join_processes() if batch else nullcontext(Share()) as share:
+        return _relight_photos(arguments, statistics_folder, batch, share)
+
+
+def _relight_photos(
+    arguments: Namespace, statistics_folder: Callable[[str | None, str], Path], batch: bool, share: Share
+) -> int:
+    request = _request(arguments)
+    places = arguments.output, arguments.variance
     if arguments.resume and not batch:
         raise ValueError("resume: expected several photos, or a folder of them, got what makes one result")
     over = arguments.force or arguments.resume

@@ -14,9 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 from test_command import FakeSession, made, photo, run  # noqa: F401 - a fixture
+from torch import distributed
 
 from facerelight.cli import main
 from facerelight.photo.folder.progress import Progress
+from facerelight.photo.folder.share import Share, join_processes
 
 
 def rows(folder: str = "out") -> list[dict[str, str]]:
@@ -165,3 +167,47 @@ def test_what_other_processes_left_is_known(made: list[FakeSession]) -> None:  #
     assert len(made) == before
     assert [row["status"] for row in rows()] == ["done", "done"]
     assert not Path("out/manifest.1.csv").exists()
+
+
+def test_without_torchrun_a_folder_is_done_here(
+    made: list[FakeSession],  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("RANK", "MASTER_ADDR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("WORLD_SIZE", "2")  # as a cluster's queue may leave it
+    photo("in/a.png")
+    photo("in/b.png")
+    assert run("in", "--output", "out") == 0
+    assert len(made) == 2
+    monkeypatch.setenv("MASTER_ADDR", "127.0.0.1")
+    for size, rank, said in (
+        ("two", "0", "WORLD_SIZE: expected a whole number of at least 1"),
+        ("2", "first", "RANK: expected a whole number from 0 to 1"),
+        ("2", "2", "got '2'"),
+    ):
+        monkeypatch.setenv("WORLD_SIZE", size)
+        monkeypatch.setenv("RANK", rank)
+        assert run("in", "--output", "out", "--force") == 2
+        assert said in capsys.readouterr().err
+
+
+def test_a_process_leaves_the_others_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    for name, value in {"WORLD_SIZE": "2", "RANK": "1", "MASTER_ADDR": "127.0.0.1"}.items():
+        monkeypatch.setenv(name, value)
+
+    def gone() -> None:
+        raise RuntimeError("timed out")
+
+    monkeypatch.setattr(distributed, "is_initialized", lambda: False)
+    monkeypatch.setattr(distributed, "init_process_group", lambda _, timeout: calls.append(f"{timeout.days} days"))
+    monkeypatch.setattr(distributed, "destroy_process_group", lambda: calls.append("left"))
+    monkeypatch.setattr(distributed, "get_rank", lambda: 1)
+    monkeypatch.setattr(distributed, "get_world_size", lambda: 2)
+    monkeypatch.setattr(distributed, "barrier", gone)
+    with join_processes() as share, pytest.raises(RuntimeError, match=r"processes: expected all 2 .*--resume goes on"):
+        share.wait()
+    assert calls == ["0 days", "left"]
+    assert share == Share(1, 2)

@@ -107,14 +107,17 @@ def _relighter(arguments: Namespace, moving: list[MovingLamp], request: Request,
 
 
 def _chooser(request: Request) -> Choose:
-    """The face that is meant: the landmarks are of the first picture, the number of each in which it is looked for."""
+    """The face that is meant: the landmarks are of the first picture, and no other face is taken up to the next cut;
+    the number is of each picture in which it is looked for."""
     marks = request.landmarks
 
-    def choose(pixels: np.ndarray) -> Face | None:
+    def choose(pixels: np.ndarray, before: Face | None) -> Face | None:
         nonlocal marks
         from facerelight.photo.faces.landmarks import LandmarksNotFoundError, face_of_points
         from facerelight.photo.film.track import largest_face
 
+        if request.landmarks is not None and before is not None:
+            return None  # it is followed, and looked for near where it was
         if marks is not None:
             from facerelight.photo.faces.given import locate_face
 

@@ -1,4 +1,4 @@
-"""What the frames of one shot say together of the person and of the light: a running posterior.
+"""What the frames in which one face is followed say together of the person and of the light: a running posterior.
 
 Frames in which the head is turned alike are observations of one image under one light, and their mean says as much as
 all of them; other turns of the head are further inputs, each with its own light, as the thesis's several photographs
@@ -24,14 +24,18 @@ MEMORY = 16  # observations: older ones are forgotten, since people walk about a
 class _View:
     def __init__(self, crop: Tensor, rotation: np.ndarray) -> None:
         self.crop, self.rotation, self.count = crop.clone(), rotation, 1
+        self._mean = rotation
 
-    def add(self, crop: Tensor) -> None:
+    def add(self, crop: Tensor, rotation: np.ndarray) -> None:
         self.count += 1
         self.crop += (crop - self.crop) / min(self.count, MEMORY)
+        self._mean = self._mean + (rotation - self._mean) / min(self.count, MEMORY)
+        left, _, right = np.linalg.svd(self._mean)  # of rotations less than APART from each other: no reflection
+        self.rotation = left @ right
 
 
 class Evidence:
-    """Of one person in one shot.
+    """Of one face that is followed.
 
     Args:
         relighter: the model.
@@ -61,7 +65,7 @@ class Evidence:
             view = _View(crop, rotation)
             self.views = [view, *self.views][:VIEWS]
         else:
-            view.add(crop)
+            view.add(crop, rotation)
             self.views = [view, *(one for one in self.views if one is not view)]
         crops = [one.crop for one in self.views]
         known = self.relighter, crops, self.source_light, self.method

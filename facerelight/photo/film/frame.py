@@ -1,5 +1,5 @@
 """One frame of a film as a photograph of its own: what it shows of the person is seen anew, what is known of the person
-and of the light comes from the shot."""
+and of the light comes from the frames before it."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ class FilmFrame(PhotoRelighter):
     Args:
         pixels: ``(H, W, 3)`` uint8 or uint16.
         face: where the face is, steady.
-        evidence: of the shot.
-        steady: the shot's matte.
+        evidence: of the face that is followed.
+        steady: its matte.
         key: whether this frame is evidence, too; if not, one that is has to have come before it.
     """
 

@@ -84,17 +84,22 @@ class FilmRelighter:
         self.lighting, self.choose = lighting, choose
         self.relighter = relighter or load_relighter()
         self._known: tuple[Method, Tensor | None] = method, source_light
+        self._begin()
+
+    def _begin(self) -> None:
         self.seen = self.lit = self.keys = self.shots = 0
         self.warnings: dict[str, str] = {}  # the first of each kind
         self.source_angles: tuple[float, float] | None = None
         self._kept: dict[int, tuple[Evidence, SteadyMatte]] = {}
 
     def frames(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
-        """The ``pictures`` relit, in their order; those without a face stay as they are.
+        """The ``pictures`` of one film relit, in their order; those without a face stay as they are. What was known of
+        an earlier film is forgotten.
 
         Raises:
             ValueError: lights that cannot be used.
         """
+        self._begin()
         threads = torch.get_num_threads()
         if threads < 2:
             for job in self._jobs(pictures):
@@ -118,7 +123,10 @@ class FilmRelighter:
             over = tracked is None or tracked.face is None or (waiting and tracked.run != waiting[-1].tracked.run)
             if over and waiting:
                 assert key is not None
-                last = make_key(waiting[-1].frame, self._light(waiting[-1])) if len(waiting) > 1 else key
+                last = key
+                if len(waiting) > 1:
+                    last = make_key(waiting[-1].frame, self._light(waiting[-1]))
+                    self.keys += 1
                 yield from self._between(waiting, key, last, len(waiting) - 1)
                 waiting, key, shaped = [], None, None
             if tracked is None:
@@ -160,9 +168,9 @@ class FilmRelighter:
 
     def _frame(self, tracked: Tracked, key: bool) -> FilmFrame:
         assert tracked.face is not None
-        if tracked.shot not in self._kept:
-            self._kept = {tracked.shot: (Evidence(self.relighter, *self._known), SteadyMatte())}
-        evidence, steady = self._kept[tracked.shot]
+        if tracked.run not in self._kept:  # another face may be another person
+            self._kept = {tracked.run: (Evidence(self.relighter, *self._known), SteadyMatte())}
+        evidence, steady = self._kept[tracked.run]
         frame = FilmFrame(tracked.picture.pixels, tracked.face, evidence, steady, key)
         if key:
             for line in frame.warnings:

@@ -13,7 +13,7 @@ from facerelight.photo.faces.landmarks import Face, face_of_points, find_faces, 
 from facerelight.photo.files.pixels import as_bytes
 from facerelight.photo.film.steady import PointFilter, State
 
-__all__ = ["Picture", "Tracked", "follow"]
+__all__ = ["Choose", "Picture", "Tracked", "follow", "largest_face"]
 
 FADE = 8  # frames over which the light goes where a face leaves, and comes where one enters
 GAP = 4  # frames without the face that are bridged
@@ -50,11 +50,11 @@ class _Entry(NamedTuple):
     found: Face | None
 
 
-Choose = Callable[[np.ndarray], Face | None]
+Choose = Callable[[np.ndarray, Face | None], Face | None]
 
 
-def largest_face(pixels: np.ndarray) -> Face | None:
-    """The largest whole face of ``pixels (H, W, 3)`` uint8."""
+def largest_face(pixels: np.ndarray, before: Face | None = None) -> Face | None:
+    """The largest whole face of ``pixels (H, W, 3)`` uint8, whatever was followed ``before``."""
     faces = find_faces(pixels)
     return faces[0] if faces else None
 
@@ -64,7 +64,8 @@ def follow(pictures: Iterable[Picture], choose: Choose = largest_face) -> Iterat
 
     Args:
         pictures: of one size.
-        choose: the face that is meant, in a picture in which none was followed.
+        choose: the face that is meant, in a picture in which none was followed; it is given the pixels, and the face
+            that was followed before in this shot, if there was one.
     """
     tracker = _Tracker(choose)
     for picture in pictures:
@@ -138,19 +139,26 @@ class _Tracker:
         return Tracked(entry.picture, face, share * share * (3 - 2 * share), self.shot, self.run)
 
     def _searched(self, pixels: np.ndarray) -> Face | None:
-        """The face that is meant: near where it was, else as :attr:`choose` says."""
-        if self.last is not None:
-            near = [face for face in find_faces(pixels) if _lies_in(face, pixels) and not self._jumped(face)]
-            if near:
-                return near[0]
-        face = self.choose(pixels)
+        """The face that is meant: while one is followed, near where it was, else as :attr:`choose` says; where none is,
+        the other way round."""
+        ways = (self._near, self._chosen) if self.filter is not None else (self._chosen, self._near)
+        return ways[0](pixels) or ways[1](pixels)
+
+    def _chosen(self, pixels: np.ndarray) -> Face | None:
+        face = self.choose(pixels, self.last)
         return face if _lies_in(face, pixels) else None
+
+    def _near(self, pixels: np.ndarray) -> Face | None:
+        last = self.last
+        if last is None:
+            return None
+        near = [face for face in find_faces(pixels) if _lies_in(face, pixels) and not self._jumped(face)]
+        return min(near, key=lambda face: _distance(face, last), default=None)
 
     def _jumped(self, face: Face) -> bool:
         assert self.last is not None
-        unit = float(np.hypot(*(self.last.landmarks[1] - self.last.landmarks[0])))
-        moved = float(np.hypot(*(face.landmarks - self.last.landmarks).mean(0)))
-        return moved > JUMP * unit * (1 + self.missed + self.without)
+        frames = self.missed if self.filter is not None else min(self.without, GAP)
+        return _distance(face, self.last) > JUMP * (1 + frames)
 
     def _is_cut(self, pixels: np.ndarray) -> bool:
         thumb = cv2.resize(pixels, THUMB, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -160,6 +168,12 @@ class _Tracker:
         differs = float(np.abs(thumb - before).mean())
         usual, self.usual = self.usual, max(0.8 * self.usual + 0.2 * differs, 1.0)
         return differs > CUT and differs > SUDDEN * usual
+
+
+def _distance(face: Face, before: Face) -> float:
+    """How far a face has moved, in eye distances."""
+    unit = float(np.hypot(*(before.landmarks[1] - before.landmarks[0])))
+    return float(np.hypot(*(face.landmarks - before.landmarks).mean(0))) / unit
 
 
 def _lies_in(face: Face | None, pixels: np.ndarray) -> bool:

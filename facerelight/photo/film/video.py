@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from facerelight.photo.film.times import Times
 from facerelight.photo.film.track import Picture
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ CODED_AS = {
 }  # by number of the colour space
 NOT_SRGB = {16: "PQ", 18: "HLG"}  # transfer curves
 STILL_PICTURE = 0x0400  # a stream that is a cover
+UNUSED = 48  # a stream that no reader wants
+WITH_CHAPTERS = ("mp4", "mov", "ipod", "matroska", "webm")
 RATE = Fraction(25)  # frames a second where a film says nothing
 TAGS = ("colorspace", "color_range", "color_primaries", "color_trc")
 
@@ -112,6 +115,11 @@ class _Conversion:
         self.stored_size = first.height, first.width
         self.out = self._picture_out(first)
         self.copies = self._copied_streams()
+        joins: list[Fraction] = []
+        self.times = {  # several subtitles may come at once
+            one: Times(one.time_base, joins, int(one.type != "subtitle")) for one in (self.video, *self.copies)
+        }
+        self._keep_chapters()
         self.made.metadata.update(given.metadata)
 
     def run(self, change: Change) -> None:
@@ -120,18 +128,26 @@ class _Conversion:
                 self.made.mux(packet)
         for packet in self.out.encode(None):
             self.made.mux(packet)
+        back = [times.back for times in self.times.values() if times.back is not None]
+        if back:
+            self.lost.append(f"the film's times go back after {min(back):.1f} s: what follows is put behind it")
 
     def _pictures(self) -> Iterator[Picture]:
         start: float | None = None
         for packet in self.given.demux([self.video, *self.copies]):
             if packet.stream is not self.video:
                 if packet.dts is not None:
+                    later = self.times[packet.stream](packet.dts) - packet.dts
+                    if later:
+                        packet.dts += later
+                        packet.pts = None if packet.pts is None else packet.pts + later
                     packet.stream = self.copies[packet.stream]
                     self.made.mux(packet)
                 continue
             for frame in _decoded(packet):
                 if (frame.height, frame.width) != self.stored_size:  # a film may change its size
                     frame = frame.reformat(self.stored_size[1], self.stored_size[0])
+                frame.pts = self.times[self.video](frame.pts)
                 time = float(frame.time or 0.0)
                 start = time if start is None else start
                 self.stored.append({tag: getattr(frame, tag) for tag in ("pts", "time_base", *TAGS)})
@@ -176,7 +192,7 @@ class _Conversion:
         return out
 
     def _copied_streams(self) -> dict[Any, Any]:
-        copies = {}
+        copies, chapters = {}, self.given.chapters()
         for stream in self.given.streams:
             if stream is self.video:
                 continue
@@ -186,7 +202,17 @@ class _Conversion:
                 copies[stream].metadata.update(stream.metadata)
             elif stream.type in ("audio", "subtitle"):
                 self.lost.append(f"{self.made.format.name} holds no {_name(stream)} ({stream.type}): left out")
+            elif not (int(stream.discard) >= UNUSED and chapters):  # chapters may be a stream as well
+                kind = {"video": "picture", None: "unknown"}.get(stream.type, stream.type)
+                self.lost.append(f"stream {stream.index} ({kind}) is left out")
         return copies
+
+    def _keep_chapters(self) -> None:
+        chapters = self.given.chapters()
+        if chapters and self.made.format.name in WITH_CHAPTERS:
+            self.made.set_chapters(chapters)
+        elif chapters:
+            self.lost.append(f"{self.made.format.name} holds no chapters: left out")
 
 
 def _probed(path: Path) -> tuple[FilmFacts, VideoFrame]:
@@ -249,9 +275,10 @@ def _said(source: Path, output: Path) -> Iterator[None]:
     try:
         yield
     except (ValueError, RuntimeError) as error:
-        if str(source) in str(error) or str(output) in str(error):
+        if isinstance(error, _av().FFmpegError) or str(source) in str(error) or str(output) in str(error):
             raise
-        raise type(error)(f"{source}: {error}") from error
+        kind = ValueError if isinstance(error, ValueError) else RuntimeError
+        raise kind(f"{source}: {error}") from error
 
 
 def _av() -> Any:

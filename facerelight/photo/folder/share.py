@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import timedelta
 from typing import NamedTuple, TypeVar
 
 __all__ = ["Share", "join_processes"]
 
-PATIENCE = timedelta(days=30)  # the first to be done wait for the others
+PATIENCE = timedelta(hours=6)  # the first to be done wait for the others, whose photos may be larger
+SET_BY_TORCHRUN = ("WORLD_SIZE", "RANK", "MASTER_ADDR")
 Item = TypeVar("Item")
 
 
@@ -29,19 +31,54 @@ class Share(NamedTuple):
         return list(items[self.rank :: self.processes])
 
     def wait(self) -> None:
-        """Until all processes are here."""
+        """Until all processes are here.
+
+        Raises:
+            RuntimeError: one of them has ended, or does not come.
+        """
         if self.processes > 1:
             from torch import distributed
 
-            distributed.barrier()
+            try:
+                distributed.barrier()
+            except RuntimeError as error:
+                said = f"expected all {self.processes} within {PATIENCE}, got {error}; --resume goes on"
+                raise RuntimeError(f"processes: {said}") from error
 
 
-def join_processes() -> Share:
-    """This process's share: of ``RANK`` and ``WORLD_SIZE`` that ``torchrun`` sets; without it all of it."""
-    if int(os.environ.get("WORLD_SIZE", "1")) < 2:
-        return Share()
+@contextmanager
+def join_processes() -> Iterator[Share]:
+    """This process's share, of what ``torchrun`` sets in the environment, as long as the block runs; all of it where
+    ``WORLD_SIZE``, ``RANK`` or ``MASTER_ADDR`` is not set.
+
+    Raises:
+        ValueError: numbers there that are none, or a rank beyond them.
+    """
+    if any(not os.environ.get(name) for name in SET_BY_TORCHRUN):
+        yield Share()
+        return
+    processes = _number("WORLD_SIZE", 1, None)
+    _number("RANK", 0, processes - 1)
+    if processes < 2:
+        yield Share()
+        return
     from torch import distributed
 
-    if not distributed.is_initialized():
-        distributed.init_process_group("gloo", timeout=PATIENCE)
-    return Share(distributed.get_rank(), distributed.get_world_size())
+    if distributed.is_initialized():  # by the program that calls
+        yield Share(distributed.get_rank(), distributed.get_world_size())
+        return
+    distributed.init_process_group("gloo", timeout=PATIENCE)
+    try:
+        yield Share(distributed.get_rank(), distributed.get_world_size())
+    finally:
+        distributed.destroy_process_group()
+
+
+def _number(name: str, least: int, most: int | None) -> int:
+    text = os.environ[name].strip()
+    number = int(text) if text.isdecimal() else -1
+    if number < least or (most is not None and number > most):
+        bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+        said = f"expected a whole number {bounds} in the environment, got {text!r}"
+        raise ValueError(f"{name}: {said}; torchrun sets it, and without it all is done here")
+    return number
