@@ -52,19 +52,20 @@ def plan_training_set(folder: Path, output: Path, copies: int, force: bool) -> l
     """Pictures of ``folder``, and where they go under ``output``.
 
     Raises:
-        ValueError: no pictures, an output inside the folder or one that holds some of them already, or a picture named
-            like a copy of another one.
+        ValueError: no pictures, an output inside the folder or one that holds a picture, a copy or a manifest already,
+            or a picture named like a copy of another one.
     """
     pictures = training_pictures(folder)
     if output.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"output: expected a place outside {folder}, got {output}")
     places = [output / path.relative_to(folder) for path in pictures]
-    made_twice = {copy for place in places for copy in _copies(place, copies)} & set(places)
+    copied = [copy for place in places for copy in _copies(place, copies)]
+    made_twice = set(copied) & set(places)
     if made_twice:
         raise ValueError(f"{min(made_twice)}: is a picture and a copy of another one; rename it in {folder}")
-    taken = [place for place in places if place.exists()]
-    if taken and not force:
-        raise ValueError(f"{taken[0]}: exists already; --force overwrites it, --output says another place")
+    taken = next((place for place in (*places, *copied, output / MANIFEST) if place.exists()), None)
+    if taken is not None and not force:
+        raise ValueError(f"{taken}: exists already; --force overwrites it, --output says another place")
     return list(zip(pictures, places, strict=True))
 
 
@@ -84,7 +85,7 @@ def write_training_set(
         relight: its probability is not asked: every copy is relit.
         find_faces: look for the face of every picture, instead of taking it to lie where ``relight.frame`` says.
         seed: of the lamps, which depend on nothing else but a picture's place in the order.
-        force: overwrite pictures that exist.
+        force: overwrite files that exist.
 
     Raises:
         ValueError: see :func:`plan_training_set`.

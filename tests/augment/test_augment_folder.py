@@ -70,6 +70,17 @@ def test_lamps_are_those_of_the_seed_and_nothing_is_overwritten(pictures, tmp_pa
     assert run(pictures, outs[0], "--force") == 1
 
 
+@pytest.mark.parametrize("name", ["ann/one.png", "bob/more/two_01.jpg", "manifest.csv"])
+def test_neither_pictures_nor_copies_nor_the_manifest_are_overwritten(pictures, tmp_path, capsys, name):
+    there = tmp_path / name
+    there.parent.mkdir(parents=True, exist_ok=True)
+    there.write_bytes(b"mine")
+    assert run(pictures, tmp_path) == 2
+    assert f"{there}: exists already; --force" in capsys.readouterr().err
+    assert there.read_bytes() == b"mine"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [there]
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
