@@ -85,6 +85,7 @@ def test_neither_pictures_nor_copies_nor_the_manifest_are_overwritten(pictures, 
     ("more", "said"),
     [
         (("--copies", "0"), "copies: expected at least 1, got 0"),
+        (("--seed", "-1"), "seed: expected 0 or more, got -1"),
         (("--frame", "1,2,3"), "landmarks: expected six numbers"),
         (("--elevation", "20", "10"), "elevation: expected two numbers"),
     ],
@@ -92,6 +93,7 @@ def test_neither_pictures_nor_copies_nor_the_manifest_are_overwritten(pictures, 
 def test_options_that_are_none(pictures, tmp_path, capsys, more, said):
     assert run(pictures, tmp_path / "out", *more) == 2
     assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_places_that_are_none(pictures, tmp_path, capsys):
