@@ -21,6 +21,7 @@ __all__ = ["MANIFEST", "Copy", "counts", "plan_training_set", "relit_copies", "t
 
 MANIFEST = "manifest.csv"
 LAMP = ("azimuth", "elevation", "size", "fill", "mix")
+PIXELS_AT_ONCE = 2**21  # of all copies that are relit together: about 0.25 GB
 LEAST_EYES = 0.12  # of a crop's shorter side, between the eyes: less is a photograph of more than a face
 COLUMNS = ("picture", "status", "output", *LAMP, "error")
 
@@ -154,16 +155,26 @@ def relit_copies(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
         params = relight.forward_parameters(torch.Size((copies, *crop.shape[1:])))
-    params["batch_prob"] = torch.ones(copies)
-    marks = None if landmarks is None else landmarks.expand(copies, -1, -1)
-    with torch.no_grad():
-        relit = relight(crop.expand(copies, -1, -1, -1), params=params, landmarks=marks)
-    if not bool(relight._params["relit"].all()):
-        raise ValueError("expected a lit face, got a black crop, or one unlike the average face under any light")
-    images = (relit.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1).numpy()
+    images: list[np.ndarray] = []
+    for some in torch.arange(copies).split(max(1, PIXELS_AT_ONCE // crop[0, 0].numel())):
+        images += _relit(crop, relight, landmarks, {name: params[name][some] for name in LAMP})
     return [
         (image, {name: round(float(params[name][index]), 3) for name in LAMP}) for index, image in enumerate(images)
     ]
+
+
+def _relit(
+    crop: Tensor, relight: RandomFaceRelight, landmarks: Tensor | None, lamps: dict[str, Tensor]
+) -> list[np.ndarray]:
+    """A crop ``(1, 3, H, W)`` under each of the ``lamps``."""
+    count = len(lamps["azimuth"])
+    marks = None if landmarks is None else landmarks.expand(count, -1, -1)
+    params = {**lamps, "batch_prob": torch.ones(count)}
+    with torch.no_grad():
+        relit = relight(crop.expand(count, -1, -1, -1), params=params, landmarks=marks)
+    if not bool(relight._params["relit"].all()):
+        raise ValueError("expected a lit face, got a black crop, or one unlike the average face under any light")
+    return list((relit.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1).numpy())
 
 
 def _landmarks(pixels: np.ndarray) -> Tensor:
