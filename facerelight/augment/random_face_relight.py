@@ -19,6 +19,9 @@ __all__ = ["RandomFaceRelight"]
 
 Encoding = Literal["srgb", "linear"]
 
+FARTHEST = 0.5  # beyond 0..1: what noise and other augmentations leave there is clamped
+BEYOND = 0.01  # share of a crop that may lie farther: more of it is in another range
+
 
 class RandomFaceRelight(IntensityAugmentationBase2D):
     """Relight aligned crops of faces by a lamp at a random place.
@@ -43,7 +46,8 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         p, same_on_batch, keepdim: as in kornia.
 
     Input is ``(B, C, H, W)``, ``(C, H, W)`` or ``(H, W)`` floating in 0..1, of one channel or three; output is of the
-    same dtype and device.
+    same dtype and device. What noise or another augmentation leaves a little outside counts as 0 or 1; normalise after
+    this, not before.
 
     Example:
         >>> crops = torch.rand(2, 3, 112, 112)
@@ -96,7 +100,7 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
             landmarks: ``(B, 3, 2)`` pixels, where each face lies; None: where ``frame`` says.
 
         Raises:
-            ValueError: landmarks that do not fit, or channels that are neither one nor three.
+            ValueError: landmarks that do not fit, channels that are neither one nor three, or crops in another range.
         """
         if landmarks is not None:
             params = self.forward_parameters(self.transform_tensor(input).shape) if params is None else dict(params)
@@ -113,7 +117,9 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         marks = self._landmarks(params, flags, count, size).to(input.device)
         work = input.to(torch.float64 if input.dtype == torch.float64 else torch.float32)
         finite = torch.isfinite(work).flatten(1).all(1)
-        clean = torch.where(finite[:, None, None, None], work, 0).clamp(0, 1)
+        clean = torch.where(finite[:, None, None, None], work, 0)
+        _refuse_other_ranges(clean)
+        clean = clean.clamp(0, 1)
         coded = flags["encoding"] == "srgb"
         raised = raised_radiance(clean) if coded else clean
         seen = scene_luminance(raised) if coded else linear_luminance(raised)
@@ -156,3 +162,12 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         )
         shift = log_ratio(faces, coarse, where, params["fill"].to(seen), params["size"].to(seen), frame)
         return warp.to_crop(shift[:, None]), faces.known
+
+
+def _refuse_other_ranges(crops: Tensor) -> None:
+    beyond = (crops < -FARTHEST) | (crops > 1 + FARTHEST)
+    if bool((beyond.flatten(1).float().mean(1) > BEYOND).any()):
+        raise ValueError(
+            f"crops: expected values in 0..1, got {float(crops.min()):g} to {float(crops.max()):g};"
+            " divide values of 0..255 by 255, and normalise after this augmentation"
+        )

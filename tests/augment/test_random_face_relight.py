@@ -193,6 +193,30 @@ def test_what_is_no_lit_face_passes_and_is_said(faces, quick):
     assert torch.isfinite(relit[3:]).all()
 
 
+@pytest.mark.parametrize("encoding", ["srgb", "linear"])
+def test_another_range_is_refused(faces, quick, encoding):
+    augment = RandomFaceRelight(relighter=quick, encoding=encoding, p=0.5)
+    mean, std = (torch.tensor(part)[:, None, None] for part in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
+    for other in (255 * faces, 2 * faces - 1, (faces - mean) / std):
+        with pytest.raises(
+            ValueError, match=r"expected values in 0\.\.1, got .* to .*; divide values of 0\.\.255 by 255"
+        ):
+            augment(other)
+    mixed = faces.clone()
+    mixed[2] *= 255
+    with pytest.raises(ValueError, match="expected values in"):
+        augment(mixed)
+
+
+def test_noise_counts_as_black_and_white(faces, quick):
+    augment = RandomFaceRelight(relighter=quick, p=1.0)
+    noisy = faces + 0.15 * torch.randn(faces.shape, generator=torch.Generator().manual_seed(0))
+    assert noisy.min() < -0.3
+    relit = augment(noisy)
+    assert augment._params["relit"].all()
+    assert torch.equal(augment(noisy.clamp(0, 1), params=augment._params), relit)
+
+
 def test_landmarks_say_where_a_face_is(faces, quick):
     augment = RandomFaceRelight(relighter=quick, p=1.0)
     there = frame_landmarks("arcface112", 112, 112)
