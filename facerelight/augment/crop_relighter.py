@@ -20,7 +20,7 @@ UNSEEN = 1e3  # radiance: noise of what a crop does not show
 class Radiances(NamedTuple):
     """Faces under several lights, ``maps (B, Q, h, w)``, the first being their own: radiance in units in which the crop
     under its own light is the crop. ``explained (B, h, w)``, what the average face and the whole-face code make of the
-    crop. ``known (B,)`` bool, whether it is a lit face."""
+    crop. ``known (B,)`` bool, whether it may be a lit face."""
 
     maps: Tensor
     explained: Tensor

@@ -149,7 +149,7 @@ def relit_copies(
         seed: two numbers that say which lamps.
 
     Raises:
-        ValueError: the crop does not look like a lit face.
+        ValueError: a black crop, or one of a contrast that no light makes on the average face.
     """
     crop = torch.from_numpy(pixels).permute(2, 0, 1).float()[None] / 255
     with torch.random.fork_rng(devices=[]):
@@ -173,7 +173,9 @@ def _relit(
     with torch.no_grad():
         relit = relight(crop.expand(count, -1, -1, -1), params=params, landmarks=marks)
     if not bool(relight._params["relit"].all()):
-        raise ValueError("expected a lit face, got a black crop, or one unlike the average face under any light")
+        raise ValueError(
+            "expected a lit face, got a black crop, or one of a contrast that no light makes on the average face"
+        )
     return list((relit.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1).numpy())
 
 

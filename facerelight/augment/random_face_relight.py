@@ -27,8 +27,9 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
     """Relight aligned crops of faces by a lamp at a random place.
 
     The statistics are read and the fast path is made at construction, which takes some seconds; ``forward`` opens no
-    file and looks for no face. Crops that are black, not finite, or not like any lit face, come back as they were, and
-    ``params["relit"] (B,)`` bool says which were relit.
+    file and looks for no face: a plain wall is relit as a face would be. Crops that are black, not finite, or of a
+    contrast far from any that light makes on the average face, such as large black and white tiles, come back as they
+    were, and ``params["relit"] (B,)`` bool says which were relit.
 
     Args:
         frame: where the face lies: "arcface112" or "yale", at any size, or three landmarks in pixels (x, y), eye at

@@ -20,7 +20,8 @@ NOT_A_FACE = 0.45  # of a crop's own power: an average face under the best light
 
 class SourceLights(NamedTuple):
     """``share (B, J)`` of the bootstrap lights in each crop's light, of sum 1; ``strength (B,)``, their whole amount;
-    ``direction (B, 3)``, its middle; ``known (B,)`` bool, whether the crop is a lit face."""
+    ``direction (B, 3)``, its middle; ``known (B,)`` bool, whether the crop may be a lit face: it is
+    neither black nor of another contrast."""
 
     share: Tensor
     strength: Tensor

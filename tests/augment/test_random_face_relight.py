@@ -181,16 +181,23 @@ def test_the_fast_path_is_near_the_exact_one(packaged, crops, quick):
     assert 255 * (exact - faces).square().mean().sqrt() > 25
 
 
-def test_what_is_no_lit_face_passes_and_is_said(faces, quick):
+def test_what_is_black_not_finite_or_of_strong_contrast_passes_and_is_said(faces, quick):
     odd = faces.clone()
     odd[0], odd[1] = 0.0, float("nan")
-    odd[2] = (torch.rand(1, 14, 14).repeat_interleave(8, 1).repeat_interleave(8, 2) > 0.5).float()
+    odd[2] = (
+        torch.rand(1, 14, 14, generator=torch.Generator().manual_seed(0))
+        .repeat_interleave(8, 1)
+        .repeat_interleave(8, 2)
+        > 0.5
+    ).float()
     augment = RandomFaceRelight(relighter=quick, p=1.0)
     relit = augment(odd)
     assert augment._params["relit"].tolist() == [False, False, False, True, True, True]
     assert torch.equal(relit[[0, 2]], odd[[0, 2]])
     assert relit[1].isnan().all()
     assert torch.isfinite(relit[3:]).all()
+    augment(torch.stack((torch.ones(3, 112, 112), torch.rand(3, 112, 112))))
+    assert augment._params["relit"].all()  # no face is looked for
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])
