@@ -34,10 +34,15 @@ class CropRelighter(nn.Module):
         full_size: height and width of the crops that it is given.
         block: pixels of these along each side of one of its maps.
         margin: of its crop, see :class:`~facerelight.geometry.alignment.CropFrame`.
+        n_mean: ``(3, h, w)``, albedo times normal of the average face on its maps.
     """
 
-    def __init__(self, full_size: tuple[int, int], block: int, margin: float) -> None:
+    normals: Tensor
+
+    def __init__(self, full_size: tuple[int, int], block: int, margin: float, n_mean: Tensor) -> None:
         super().__init__()
+        normals = nn.functional.normalize(n_mean.detach().float().permute(1, 2, 0), dim=-1)
+        self.register_buffer("normals", normals, persistent=False)
         self.full_size, self.block, self.margin = full_size, block, margin
         self.size = (full_size[0] // block, full_size[1] // block)
 

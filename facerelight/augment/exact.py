@@ -28,7 +28,7 @@ class ExactRelighter(CropRelighter):
 
     def __init__(self, relighter: StatisticalRelighter) -> None:
         statistics = relighter.statistics
-        super().__init__(statistics.size, 1, crop_frame(relighter).margin)
+        super().__init__(statistics.size, 1, crop_frame(relighter).margin, statistics.n_mean)
         self.relighter = [relighter]  # in a list: no part of the state
         self.average = prior_mean(statistics, statistics.lights)
 

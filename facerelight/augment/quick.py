@@ -80,7 +80,7 @@ class QuickRelighter(CropRelighter):
         statistics = pooled_statistics(relighter.statistics, block)
         face = statistics.face
         assert face is not None
-        super().__init__(relighter.statistics.size, block, crop_frame(relighter).margin)
+        super().__init__(relighter.statistics.size, block, crop_frame(relighter).margin, statistics.n_mean)
         self.gain_spread = float(statistics.gain_spread)
         self.noise = math.hypot(relighter.noise, MISFIT) / 255
         places = _told_from(self.map_frame)

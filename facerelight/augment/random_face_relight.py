@@ -14,6 +14,8 @@ from facerelight.augment.frames import FaceWarp, Frame, frame_landmarks
 from facerelight.augment.lamps import LampGenerator, Range, camera_lamps, fill_lamps, lamp_points
 from facerelight.augment.quick import QuickRelighter
 from facerelight.augment.ratio import face_mask, log_ratio
+from facerelight.geometry.behind import nearest_side, share_reached
+from facerelight.geometry.sums import LightSum
 
 __all__ = ["RandomFaceRelight"]
 
@@ -34,7 +36,8 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
     Args:
         frame: where the face lies: "arcface112" or "yale", at any size, or three landmarks in pixels (x, y), eye at
             image-left, other eye, middle of the mouth. A call with ``landmarks=(B, 3, 2)`` overrides it.
-        azimuth: limits of the lamp's azimuth in degrees, positive at image-left.
+        azimuth: limits of the lamp's azimuth in degrees, positive at image-left; beyond 90 it stands behind the face
+            and lights its rim alone.
         elevation: limits of its elevation, positive above; within both, lamps are uniform over the sphere.
         size: limits of its angular radius: 1 a bare bulb, 15 a soft box.
         fill: limits of the share of light from all around.
@@ -157,7 +160,12 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         shown = warp.shown().to(seen) * face_mask(full).to(seen)
         count = len(seen)
         lamp = lamp_points(*(params[name].to(seen.device) for name in ("azimuth", "elevation", "size")))
-        faces = relighter(on_model, shown, [camera_lamps(count), lamp, fill_lamps(count)], source)
+        side = LightSum(nearest_side(lamp.directions), lamp.amounts)
+        faces = relighter(on_model, shown, [camera_lamps(count), side, fill_lamps(count)], source)
+        if bool((lamp.directions[..., 2] < 0).any()):
+            reached = share_reached(relighter.normals.to(seen), lamp.directions.to(seen))
+            whole = torch.ones_like(reached)
+            faces = faces._replace(maps=faces.maps * torch.stack((whole, whole, reached, whole), 1))
         coarse, where = (
             torch.nn.functional.avg_pool2d(part[:, None], relighter.block)[:, 0] for part in (on_model, shown)
         )

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from facerelight.config import default_statistics_folder, find_statistics, quality_config
 from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.behind import nearest_side, share_reached
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sources import LightMixture
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
@@ -40,7 +41,6 @@ MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum
 OWN_ERROR = 1.5  # degrees, by which fits to two photographs under one light differ
 SOFT_ERROR = (0.104, 0.144, 0.088)  # standard deviation of a fitted light, over 60 held-out rendered heads
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
-NORMALS_ERR = 0.15  # cosine: beyond the edge of a light, how far the average face's normals may be off
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
 CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -241,17 +241,11 @@ class FaceModel:
         far enough to be reached.
         """
         seen = directions.astype(np.float64) @ self.rotation
-        side = in_front(directions, self.rotation)
-        radiance = (self.crops(side).clamp_min(0) * self.exposure).numpy()
+        radiance = (self.crops(in_front(directions, self.rotation)).clamp_min(0) * self.exposure).numpy()
+        normal = torch.from_numpy(self.normal)
         for one in np.flatnonzero(seen[:, 2] < 0):
-            radiance[one] *= self._reached(seen[one], side[one].numpy())
+            radiance[one] *= share_reached(normal, torch.from_numpy(seen[one]).to(normal)[None]).numpy()
         return radiance
-
-    def _reached(self, behind: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """The share of a light at the head's ``side (3,)`` that is left of one ``behind (3,)`` it, ``(h, w)``: of
-        Lambert's cosine on the average face, softened as far as its normals may err."""
-        there, here = (self.normal @ light + NORMALS_ERR for light in (behind, side))
-        return np.clip(there / np.maximum(here, 1e-3), 0, 1).astype(np.float32)
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -289,9 +283,7 @@ class FaceModel:
 def in_front(directions: np.ndarray, rotation: np.ndarray) -> Tensor:
     """``directions (P, 3)`` as a head that is turned by ``rotation (3, 3)`` sees them, those behind it at its nearest
     side, ``(P, 3)``."""
-    front = directions.astype(np.float64) @ rotation
-    front[:, 2] = np.maximum(front[:, 2], 0)
-    return torch.from_numpy(front / np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)).float()
+    return nearest_side(torch.from_numpy(directions.astype(np.float64) @ rotation)).float()
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:

@@ -151,6 +151,19 @@ def test_a_positive_azimuth_lights_image_left(crops, quick, side):
     assert (left > 1.5 * right if side > 0 else right > 1.5 * left).all()
 
 
+def test_a_lamp_behind_the_face_lights_its_rim_alone(packaged, crops, quick):
+    faces = crops(0, 0)[:2]
+    options = {"fill": (0.0, 0.0), "size": (0.0, 0.0)}
+    beside, just, rim, none = (lit_from(azimuth, 0.0, quick, **options)(faces) for azimuth in (90, 90.5, 135, 180))
+    assert (just - beside).abs().mean() < 0.01  # it does not jump
+    front, edge = (..., slice(50, 90), slice(48, 64)), (..., slice(50, 90), slice(14, 24))
+    assert rim[front].mean() < 0.3 * beside[front].mean()
+    assert rim[edge].mean() > 2 * rim[front].mean()
+    assert (none[front] < 0.1 * faces[front]).all()
+    exact = lit_from(135, 0.0, ExactRelighter(packaged), **options)(faces)
+    assert 255 * (rim - exact).square().mean().sqrt() < 6
+
+
 def test_the_light_that_was_there_changes_little(crops, quick):
     faces = crops(0, 0)
     options = {"fill": (0.0, 0.0), "size": (0.0, 0.0)}
