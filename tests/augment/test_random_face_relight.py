@@ -251,6 +251,20 @@ def test_landmarks_say_where_a_face_is(faces, quick):
     assert (shifted - relit)[inside].abs().mean() < 0.004
 
 
+def test_neighbours_of_other_sizes_change_nothing(faces, quick):
+    """Faces that fill the crop, and one of a third of that size between them."""
+    large = torch.nn.functional.interpolate(faces[:3], (448, 448), mode="bilinear")
+    marks = frame_landmarks("arcface112", 448, 448).expand(3, -1, -1).clone()
+    marks[1] = marks[1] / 3 + 100
+    augment = RandomFaceRelight(relighter=quick, p=1.0)
+    relit, drawn = augment(large, landmarks=marks), augment._params
+    for one in range(3):
+        alone = {name: drawn[name][one : one + 1] for name in ("azimuth", "elevation", "size", "fill", "mix")}
+        alone["batch_prob"] = torch.ones(1)
+        single = augment(large[one : one + 1], params=alone, landmarks=marks[one : one + 1])
+        assert torch.allclose(single[0], relit[one], atol=1e-4)
+
+
 @pytest.mark.parametrize("side", [56, 448])
 def test_a_size_is_as_good_as_another(faces, quick, side):
     augment = RandomFaceRelight(relighter=quick, p=1.0)
