@@ -9,11 +9,9 @@ from torch import Tensor, nn
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.sums import LightSum
 
-__all__ = ["MISFIT", "OWN_ERROR", "UNSEEN", "CropRelighter", "Radiances", "Source"]
+__all__ = ["UNSEEN", "CropRelighter", "Radiances", "Source"]
 
 Source = Literal["estimate", "front"]
-MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum of lights taken for one leave
-OWN_ERROR = 1.5  # degrees, of a fitted light
 UNSEEN = 1e3  # radiance: noise of what a crop does not show
 
 

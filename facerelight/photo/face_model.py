@@ -29,13 +29,13 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.estimator import GaussianBelief
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
-from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, LUMINANCE, QUOTIENT_FLOOR
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
-__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "in_front", "load_relighter"]
+__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "in_front", "load_relighter", "wobble"]
 
-LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
 MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum of lights taken for one leave
 OWN_ERROR = 1.5  # degrees, by which fits to two photographs under one light differ
@@ -84,6 +84,14 @@ def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
     height, width = relighter.statistics.size
     margin = float(relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
     return CropFrame(height, width, margin)
+
+
+def wobble(statistics: FaceStatistics, lights: Tensor) -> Tensor:
+    """Variance of the average face under unit ``lights (S, 3)`` by an error of ``OWN_ERROR``, ``(S, P)``."""
+    about = torch.linalg.svd(lights[:, None])[2][:, 1:] * math.radians(OWN_ERROR)  # (S, 2, 3), across the sphere
+    there = prior_mean(statistics, lights)
+    moved = [prior_mean(statistics, unit_lights(lights + about[:, axis])) - there for axis in (0, 1)]
+    return moved[0].square() + moved[1].square()
 
 
 class FaceModel:
@@ -216,13 +224,15 @@ class FaceModel:
             return SourceLight(direction, nearest, luminance * scale, self._noise(scale))
         direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
-        about = torch.linalg.svd(direction[None])[2][1:] * np.deg2rad(OWN_ERROR)  # (2, 3), steps across the sphere
-        near = unit_lights(torch.cat((direction[None], direction + about)))
-        single = prior_mean(statistics, near.to(statistics.lights)).unflatten(1, statistics.size).cpu()
-        quotient = ((single[0].clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
+        light = direction[None].to(statistics.lights)
+        single, moved = (
+            part.unflatten(1, statistics.size)[0].cpu()
+            for part in (prior_mean(statistics, light), wobble(statistics, light))
+        )
+        quotient = ((single.clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
             1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
         )
-        noise = self._noise(quotient / strength).square() + (single[1:] - single[0]).square().sum(0)
+        noise = self._noise(quotient / strength).square() + moved
         return SourceLight(direction, amounts, luminance / strength * quotient, noise.sqrt())
 
     def _noise(self, scale: Tensor) -> Tensor:
