@@ -46,7 +46,8 @@ class QuickRelighter(CropRelighter):
     (S, 3 + J, P)`` in bfloat16, ``gain_noise (S,)``.
 
     Example:
-        >>>         >>> lights = even_hemisphere(6)
+        >>> from facerelight.model.statistics import FaceStatistics
+        >>> lights = even_hemisphere(6)
         >>> statistics = FaceStatistics.fit(torch.rand(5, 6, 16, 16), lights, rank=2, face_rank=2)
         >>> quick = QuickRelighter(StatisticalRelighter(statistics, "face"), block=2, cells=6)
         >>> target = LightSum(lights[:2].expand(4, 2, 3), torch.ones(4, 2))
