@@ -59,6 +59,8 @@ def run_augment(arguments: Namespace, statistics_folder: Callable[[str | None, s
     """
     if arguments.copies < 1:
         raise ValueError(f"copies: expected at least 1, got {arguments.copies}")
+    if arguments.seed < 0:
+        raise ValueError(f"seed: expected 0 or more, got {arguments.seed}")
     folder, output = Path(arguments.folder), Path(arguments.output)
     if not folder.is_dir():
         raise ValueError(f"{folder}: expected a folder of pictures, found none")

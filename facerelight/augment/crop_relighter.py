@@ -9,18 +9,16 @@ from torch import Tensor, nn
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.sums import LightSum
 
-__all__ = ["MISFIT", "OWN_ERROR", "UNSEEN", "CropRelighter", "Radiances", "Source"]
+__all__ = ["UNSEEN", "CropRelighter", "Radiances", "Source"]
 
 Source = Literal["estimate", "front"]
-MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum of lights taken for one leave
-OWN_ERROR = 1.5  # degrees, of a fitted light
 UNSEEN = 1e3  # radiance: noise of what a crop does not show
 
 
 class Radiances(NamedTuple):
     """Faces under several lights, ``maps (B, Q, h, w)``, the first being their own: radiance in units in which the crop
     under its own light is the crop. ``explained (B, h, w)``, what the average face and the whole-face code make of the
-    crop. ``known (B,)`` bool, whether it is a lit face."""
+    crop. ``known (B,)`` bool, whether it may be a lit face."""
 
     maps: Tensor
     explained: Tensor
@@ -34,10 +32,15 @@ class CropRelighter(nn.Module):
         full_size: height and width of the crops that it is given.
         block: pixels of these along each side of one of its maps.
         margin: of its crop, see :class:`~facerelight.geometry.alignment.CropFrame`.
+        n_mean: ``(3, h, w)``, albedo times normal of the average face on its maps.
     """
 
-    def __init__(self, full_size: tuple[int, int], block: int, margin: float) -> None:
+    normals: Tensor
+
+    def __init__(self, full_size: tuple[int, int], block: int, margin: float, n_mean: Tensor) -> None:
         super().__init__()
+        normals = nn.functional.normalize(n_mean.detach().float().permute(1, 2, 0), dim=-1)
+        self.register_buffer("normals", normals, persistent=False)
         self.full_size, self.block, self.margin = full_size, block, margin
         self.size = (full_size[0] // block, full_size[1] // block)
 

@@ -7,13 +7,12 @@ import math
 import torch
 from torch import Tensor
 
-from facerelight.augment.crop_relighter import MISFIT, OWN_ERROR, UNSEEN, CropRelighter, Radiances, Source
+from facerelight.augment.crop_relighter import UNSEEN, CropRelighter, Radiances, Source
 from facerelight.augment.source import find_source_lights, front_lights
-from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.covariance import prior_mean
-from facerelight.photo.face_model import crop_frame
+from facerelight.photo.face_model import MISFIT, crop_frame, wobble
 
 __all__ = ["ExactRelighter"]
 
@@ -28,7 +27,7 @@ class ExactRelighter(CropRelighter):
 
     def __init__(self, relighter: StatisticalRelighter) -> None:
         statistics = relighter.statistics
-        super().__init__(statistics.size, 1, crop_frame(relighter).margin)
+        super().__init__(statistics.size, 1, crop_frame(relighter).margin, statistics.n_mean)
         self.relighter = [relighter]  # in a list: no part of the state
         self.average = prior_mean(statistics, statistics.lights)
 
@@ -42,13 +41,9 @@ class ExactRelighter(CropRelighter):
         find = front_lights if source == "front" else find_source_lights
         own = find(self.average, statistics.lights, seen, shown)
         strength = own.strength.clamp_min(1e-4)[:, None]
-        about = torch.linalg.svd(own.direction[:, None])[2][:, 1:] * math.radians(OWN_ERROR)  # (B, 2, 3)
         single = prior_mean(statistics, own.direction)
-        wobble = sum(
-            (prior_mean(statistics, unit_lights(own.direction + about[:, axis])) - single).square() for axis in (0, 1)
-        )
         quotient = own.equivalent(self.average, single) / strength
-        noise = (quotient * math.hypot(relighter.noise, MISFIT) / 255).square() + wobble
+        noise = (quotient * math.hypot(relighter.noise, MISFIT) / 255).square() + wobble(statistics, own.direction)
         noise = (noise + UNSEEN**2 * (1 - shown).clamp(0, 1)).sqrt()
         posterior = relighter.condition(
             (seen * quotient).unflatten(1, self.full_size)[:, None],

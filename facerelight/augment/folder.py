@@ -21,6 +21,7 @@ __all__ = ["MANIFEST", "Copy", "counts", "plan_training_set", "relit_copies", "t
 
 MANIFEST = "manifest.csv"
 LAMP = ("azimuth", "elevation", "size", "fill", "mix")
+PIXELS_AT_ONCE = 2**21  # of all copies that are relit together: about 0.25 GB
 LEAST_EYES = 0.12  # of a crop's shorter side, between the eyes: less is a photograph of more than a face
 COLUMNS = ("picture", "status", "output", *LAMP, "error")
 
@@ -52,19 +53,20 @@ def plan_training_set(folder: Path, output: Path, copies: int, force: bool) -> l
     """Pictures of ``folder``, and where they go under ``output``.
 
     Raises:
-        ValueError: no pictures, an output inside the folder or one that holds some of them already, or a picture named
-            like a copy of another one.
+        ValueError: no pictures, an output inside the folder or one that holds a picture, a copy or a manifest already,
+            or a picture named like a copy of another one.
     """
     pictures = training_pictures(folder)
     if output.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"output: expected a place outside {folder}, got {output}")
     places = [output / path.relative_to(folder) for path in pictures]
-    made_twice = {copy for place in places for copy in _copies(place, copies)} & set(places)
+    copied = [copy for place in places for copy in _copies(place, copies)]
+    made_twice = set(copied) & set(places)
     if made_twice:
         raise ValueError(f"{min(made_twice)}: is a picture and a copy of another one; rename it in {folder}")
-    taken = [place for place in places if place.exists()]
-    if taken and not force:
-        raise ValueError(f"{taken[0]}: exists already; --force overwrites it, --output says another place")
+    taken = next((place for place in (*places, *copied, output / MANIFEST) if place.exists()), None)
+    if taken is not None and not force:
+        raise ValueError(f"{taken}: exists already; --force overwrites it, --output says another place")
     return list(zip(pictures, places, strict=True))
 
 
@@ -84,7 +86,7 @@ def write_training_set(
         relight: its probability is not asked: every copy is relit.
         find_faces: look for the face of every picture, instead of taking it to lie where ``relight.frame`` says.
         seed: of the lamps, which depend on nothing else but a picture's place in the order.
-        force: overwrite pictures that exist.
+        force: overwrite files that exist.
 
     Raises:
         ValueError: see :func:`plan_training_set`.
@@ -147,22 +149,34 @@ def relit_copies(
         seed: two numbers that say which lamps.
 
     Raises:
-        ValueError: the crop does not look like a lit face.
+        ValueError: a black crop, or one of a contrast that no light makes on the average face.
     """
     crop = torch.from_numpy(pixels).permute(2, 0, 1).float()[None] / 255
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
         params = relight.forward_parameters(torch.Size((copies, *crop.shape[1:])))
-    params["batch_prob"] = torch.ones(copies)
-    marks = None if landmarks is None else landmarks.expand(copies, -1, -1)
-    with torch.no_grad():
-        relit = relight(crop.expand(copies, -1, -1, -1), params=params, landmarks=marks)
-    if not bool(relight._params["relit"].all()):
-        raise ValueError("expected a lit face, got a black crop, or one unlike the average face under any light")
-    images = (relit.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1).numpy()
+    images: list[np.ndarray] = []
+    for some in torch.arange(copies).split(max(1, PIXELS_AT_ONCE // crop[0, 0].numel())):
+        images += _relit(crop, relight, landmarks, {name: params[name][some] for name in LAMP})
     return [
         (image, {name: round(float(params[name][index]), 3) for name in LAMP}) for index, image in enumerate(images)
     ]
+
+
+def _relit(
+    crop: Tensor, relight: RandomFaceRelight, landmarks: Tensor | None, lamps: dict[str, Tensor]
+) -> list[np.ndarray]:
+    """A crop ``(1, 3, H, W)`` under each of the ``lamps``."""
+    count = len(lamps["azimuth"])
+    marks = None if landmarks is None else landmarks.expand(count, -1, -1)
+    params = {**lamps, "batch_prob": torch.ones(count)}
+    with torch.no_grad():
+        relit = relight(crop.expand(count, -1, -1, -1), params=params, landmarks=marks)
+    if not bool(relight._params["relit"].all()):
+        raise ValueError(
+            "expected a lit face, got a black crop, or one of a contrast that no light makes on the average face"
+        )
+    return list((relit.clamp(0, 1) * 255).round().to(torch.uint8).permute(0, 2, 3, 1).numpy())
 
 
 def _landmarks(pixels: np.ndarray) -> Tensor:

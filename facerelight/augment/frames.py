@@ -68,13 +68,17 @@ class FaceWarp:
 
     def to_model(self, images: Tensor) -> Tensor:
         """``images (B, C, H, W)`` on the model's crop; beyond their border they go on as there."""
-        shrink = float(torch.linalg.det(self.matrix[..., :2]).sqrt().min())
-        factor = max(1, int(1 / shrink))
+        shrink = torch.linalg.det(self.matrix[..., :2]).sqrt()
+        factors = (1 / shrink).int().clamp_min(1)  # whole pixels of the crop to one of the model
         places = self._places(self._back, (self.model.height, self.model.width))
-        if factor > 1:  # nothing aliases
-            images = avg_pool2d(images, factor, ceil_mode=True, count_include_pad=False)
-            places = (places - (factor - 1) / 2) / factor
-        return _sampled(images, places)
+        of_each = factors.unique().tolist()
+        if len(of_each) < 2:
+            return _reduced(images, places, max(of_each, default=1))
+        order = [(factors == factor).nonzero()[:, 0] for factor in of_each]
+        parts = [
+            _reduced(images[members], places[members], factor) for factor, members in zip(of_each, order, strict=True)
+        ]
+        return torch.cat(parts)[torch.cat(order).argsort()]
 
     def shown(self) -> Tensor:
         """Where the crops show the model's crop, ``(B or 1, h, w)`` of 0 and 1 float32."""
@@ -96,6 +100,14 @@ class FaceWarp:
         )
         grid = torch.stack((x, y, torch.ones_like(x)), -1)  # (h, w, 3)
         return torch.einsum("hwc,bdc->bhwd", grid, matrix)
+
+
+def _reduced(images: Tensor, places: Tensor, factor: int) -> Tensor:
+    """As :func:`_sampled`, of averages over ``factor`` pixels each way, so that nothing aliases."""
+    if factor > 1:
+        images = avg_pool2d(images, factor, ceil_mode=True, count_include_pad=False)
+        places = (places - (factor - 1) / 2) / factor
+    return _sampled(images, places)
 
 
 def _sampled(images: Tensor, places: Tensor) -> Tensor:

@@ -69,8 +69,7 @@ def _height(elevation: float) -> float:
 
 
 def lamp_points(azimuth: Tensor, elevation: Tensor, size: Tensor) -> LightSum:
-    """Lamps as ``POINTS`` points each on their discs, amounts ``(B, 7)`` of sum 1; light from behind the face comes
-    from its nearest side.
+    """Lamps as ``POINTS`` points each on their discs, amounts ``(B, 7)`` of sum 1.
 
     Args:
         azimuth, elevation, size: ``(B,)`` degrees.
@@ -85,8 +84,6 @@ def lamp_points(azimuth: Tensor, elevation: Tensor, size: Tensor) -> LightSum:
     turn = index * GOLDEN_ANGLE
     ring = torch.cos(turn)[:, None] * across[:, None] + torch.sin(turn)[:, None] * along[:, None]  # (B, 7, 3)
     points = torch.cos(angle)[..., None] * towards[:, None] + torch.sin(angle)[..., None] * ring
-    points = torch.cat((points[..., :2], points[..., 2:].clamp_min(0)), -1)
-    points = torch.nn.functional.normalize(points + 1e-9, dim=-1)
     return LightSum(points, torch.full_like(points[..., 0], 1 / POINTS))
 
 

@@ -13,18 +13,17 @@ import math
 import torch
 from torch import Tensor
 
-from facerelight.augment.crop_relighter import MISFIT, OWN_ERROR, UNSEEN, CropRelighter, Radiances, Source
+from facerelight.augment.crop_relighter import UNSEEN, CropRelighter, Radiances, Source
 from facerelight.augment.source import find_source_lights, front_lights
 from facerelight.geometry.alignment import CropFrame
-from facerelight.geometry.lights import even_hemisphere, unit_lights
+from facerelight.geometry.lights import even_hemisphere
 from facerelight.geometry.sums import LightSum
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.covariance import deviation_covariance, image_covariance, prior_mean
 from facerelight.model.light_terms import light_terms, loadings_at
 from facerelight.model.pooling import pooled_statistics
-from facerelight.model.statistics import FaceStatistics
 from facerelight.numerics.kernels import kernel_weights
-from facerelight.photo.face_model import crop_frame
+from facerelight.photo.face_model import MISFIT, crop_frame, wobble
 
 __all__ = ["QuickRelighter"]
 
@@ -80,7 +79,7 @@ class QuickRelighter(CropRelighter):
         statistics = pooled_statistics(relighter.statistics, block)
         face = statistics.face
         assert face is not None
-        super().__init__(relighter.statistics.size, block, crop_frame(relighter).margin)
+        super().__init__(relighter.statistics.size, block, crop_frame(relighter).margin, statistics.n_mean)
         self.gain_spread = float(statistics.gain_spread)
         self.noise = math.hypot(relighter.noise, MISFIT) / 255
         places = _told_from(self.map_frame)
@@ -99,7 +98,7 @@ class QuickRelighter(CropRelighter):
                     torch.cat((light, terms.weights @ face.basis.T), 1),
                     terms.mean,
                     own.to(root),
-                    _wobble(statistics, light),
+                    wobble(statistics, light),
                     loadings_at(face, terms)[..., places],
                     torch.cat((of_n, of_v.to(root)), 1).bfloat16(),
                     terms.weights @ statistics.gain_noise,
@@ -199,12 +198,3 @@ def _told_from(frame: CropFrame) -> Tensor:
     """Every other pixel of the face, as on a chessboard: the code is told from these."""
     y, x = torch.meshgrid(torch.arange(frame.height), torch.arange(frame.width), indexing="ij")
     return (((x + y) % 2 == 0) & (frame.oval() < REACH)).flatten().nonzero()[:, 0]
-
-
-def _wobble(statistics: FaceStatistics, lights: Tensor) -> Tensor:
-    """Variance of the average face under ``lights (S, 3)`` by an error of ``OWN_ERROR``, ``(S, P)``."""
-    step = math.radians(OWN_ERROR)
-    about = torch.linalg.svd(lights[:, None])[2][:, 1:] * step  # (S, 2, 3)
-    there = prior_mean(statistics, lights)
-    moved = [prior_mean(statistics, unit_lights(lights + about[:, axis])) - there for axis in (0, 1)]
-    return moved[0].square() + moved[1].square()

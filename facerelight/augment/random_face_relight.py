@@ -14,23 +14,30 @@ from facerelight.augment.frames import FaceWarp, Frame, frame_landmarks
 from facerelight.augment.lamps import LampGenerator, Range, camera_lamps, fill_lamps, lamp_points
 from facerelight.augment.quick import QuickRelighter
 from facerelight.augment.ratio import face_mask, log_ratio
+from facerelight.geometry.behind import nearest_side, share_reached
+from facerelight.geometry.sums import LightSum
 
 __all__ = ["RandomFaceRelight"]
 
 Encoding = Literal["srgb", "linear"]
+
+FARTHEST = 0.5  # beyond 0..1: what noise and other augmentations leave there is clamped
+BEYOND = 0.01  # share of a crop that may lie farther: more of it is in another range
 
 
 class RandomFaceRelight(IntensityAugmentationBase2D):
     """Relight aligned crops of faces by a lamp at a random place.
 
     The statistics are read and the fast path is made at construction, which takes some seconds; ``forward`` opens no
-    file and looks for no face. Crops that are black, not finite, or not like any lit face, come back as they were, and
-    ``params["relit"] (B,)`` bool says which were relit.
+    file and looks for no face: a plain wall is relit as a face would be. Crops that are black, not finite, or of a
+    contrast far from any that light makes on the average face, such as large black and white tiles, come back as they
+    were, and ``params["relit"] (B,)`` bool says which were relit.
 
     Args:
         frame: where the face lies: "arcface112" or "yale", at any size, or three landmarks in pixels (x, y), eye at
             image-left, other eye, middle of the mouth. A call with ``landmarks=(B, 3, 2)`` overrides it.
-        azimuth: limits of the lamp's azimuth in degrees, positive at image-left.
+        azimuth: limits of the lamp's azimuth in degrees, positive at image-left; beyond 90 it stands behind the face
+            and lights its rim alone.
         elevation: limits of its elevation, positive above; within both, lamps are uniform over the sphere.
         size: limits of its angular radius: 1 a bare bulb, 15 a soft box.
         fill: limits of the share of light from all around.
@@ -43,7 +50,8 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         p, same_on_batch, keepdim: as in kornia.
 
     Input is ``(B, C, H, W)``, ``(C, H, W)`` or ``(H, W)`` floating in 0..1, of one channel or three; output is of the
-    same dtype and device.
+    same dtype and device. What noise or another augmentation leaves a little outside counts as 0 or 1; normalise after
+    this, not before.
 
     Example:
         >>> crops = torch.rand(2, 3, 112, 112)
@@ -96,7 +104,7 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
             landmarks: ``(B, 3, 2)`` pixels, where each face lies; None: where ``frame`` says.
 
         Raises:
-            ValueError: landmarks that do not fit, or channels that are neither one nor three.
+            ValueError: landmarks that do not fit, channels that are neither one nor three, or crops in another range.
         """
         if landmarks is not None:
             params = self.forward_parameters(self.transform_tensor(input).shape) if params is None else dict(params)
@@ -113,7 +121,9 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         marks = self._landmarks(params, flags, count, size).to(input.device)
         work = input.to(torch.float64 if input.dtype == torch.float64 else torch.float32)
         finite = torch.isfinite(work).flatten(1).all(1)
-        clean = torch.where(finite[:, None, None, None], work, 0).clamp(0, 1)
+        clean = torch.where(finite[:, None, None, None], work, 0)
+        _refuse_other_ranges(clean)
+        clean = clean.clamp(0, 1)
         coded = flags["encoding"] == "srgb"
         raised = raised_radiance(clean) if coded else clean
         seen = scene_luminance(raised) if coded else linear_luminance(raised)
@@ -150,9 +160,23 @@ class RandomFaceRelight(IntensityAugmentationBase2D):
         shown = warp.shown().to(seen) * face_mask(full).to(seen)
         count = len(seen)
         lamp = lamp_points(*(params[name].to(seen.device) for name in ("azimuth", "elevation", "size")))
-        faces = relighter(on_model, shown, [camera_lamps(count), lamp, fill_lamps(count)], source)
+        side = LightSum(nearest_side(lamp.directions), lamp.amounts)
+        faces = relighter(on_model, shown, [camera_lamps(count), side, fill_lamps(count)], source)
+        if bool((lamp.directions[..., 2] < 0).any()):
+            reached = share_reached(relighter.normals.to(seen), lamp.directions.to(seen))
+            whole = torch.ones_like(reached)
+            faces = faces._replace(maps=faces.maps * torch.stack((whole, whole, reached, whole), 1))
         coarse, where = (
             torch.nn.functional.avg_pool2d(part[:, None], relighter.block)[:, 0] for part in (on_model, shown)
         )
         shift = log_ratio(faces, coarse, where, params["fill"].to(seen), params["size"].to(seen), frame)
         return warp.to_crop(shift[:, None]), faces.known
+
+
+def _refuse_other_ranges(crops: Tensor) -> None:
+    beyond = (crops < -FARTHEST) | (crops > 1 + FARTHEST)
+    if bool((beyond.flatten(1).float().mean(1) > BEYOND).any()):
+        raise ValueError(
+            f"crops: expected values in 0..1, got {float(crops.min()):g} to {float(crops.max()):g};"
+            " divide values of 0..255 by 255, and normalise after this augmentation"
+        )

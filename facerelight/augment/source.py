@@ -7,12 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.luminance import QUOTIENT_FLOOR
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, QUOTIENT_FLOOR
 
-__all__ = ["FRONT", "LARGEST_QUOTIENT", "SourceLights", "find_source_lights", "front_lights"]
+__all__ = ["FRONT", "SourceLights", "find_source_lights", "front_lights"]
 
 FRONT = (0.0, 0.0, 1.0)
-LARGEST_QUOTIENT = 4.0
 STEPS = 100  # multiplicative updates
 FAINT = 1e-4  # radiance of all amounts together: a crop with less is black
 NOT_A_FACE = 0.45  # of a crop's own power: an average face under the best light misses by less
@@ -20,7 +19,8 @@ NOT_A_FACE = 0.45  # of a crop's own power: an average face under the best light
 
 class SourceLights(NamedTuple):
     """``share (B, J)`` of the bootstrap lights in each crop's light, of sum 1; ``strength (B,)``, their whole amount;
-    ``direction (B, 3)``, its middle; ``known (B,)`` bool, whether the crop is a lit face."""
+    ``direction (B, 3)``, its middle; ``known (B,)`` bool, whether the crop may be a lit face: it is
+    neither black nor of another contrast."""
 
     share: Tensor
     strength: Tensor

@@ -24,11 +24,10 @@ from facerelight.light.amounts import SoftLightEstimator
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
 from facerelight.model.statistics import FaceStatistics
-from facerelight.numerics.luminance import QUOTIENT_FLOOR
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, QUOTIENT_FLOOR
 
 __all__ = ["SoftScores", "evaluate_soft_light", "soft_lights"]
 
-LARGEST_QUOTIENT = 4.0
 Make = Callable[[Tensor, Tensor, Tensor], FaceStatistics]
 
 

@@ -2,6 +2,7 @@
 
 __all__ = [
     "BLACK",
+    "LARGEST_QUOTIENT",
     "LOGARITHM_FLOOR",
     "LUMINANCE",
     "MEASURED_FLOOR",
@@ -22,6 +23,8 @@ MEASURED_FLOOR = 0.01
 """Radiance: quotients of images of faces, which are measured and not shown, level out below it."""
 QUOTIENT_FLOOR = 0.05
 """Radiance: below it a quotient of average faces would only amplify noise."""
+LARGEST_QUOTIENT = 4.0
+"""Of two average faces, and its inverse the least: on the way to one light no pixel changes by more."""
 RATIO_FLOOR = 0.02
 """Of a face's mean radiance, so that dark skin is not shade: below it ratios of two lights on one face level out."""
 LOGARITHM_FLOOR = 0.003

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from facerelight.config import default_statistics_folder, find_statistics, quality_config
 from facerelight.geometry.alignment import CropFrame
+from facerelight.geometry.behind import nearest_side, share_reached
 from facerelight.geometry.lights import unit_lights
 from facerelight.geometry.sources import LightMixture
 from facerelight.inference.maximum_likelihood import MaximumLikelihood
@@ -28,19 +29,18 @@ from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.estimator import GaussianBelief
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
-from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
+from facerelight.model.statistics import FaceStatistics
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, LUMINANCE, QUOTIENT_FLOOR
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
-__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "in_front", "load_relighter"]
+__all__ = ["FaceModel", "Quality", "SourceLight", "crop_frame", "in_front", "load_relighter", "wobble"]
 
-LARGEST_QUOTIENT = 4.0
 LIGHT_DRAWS = 16
 MISFIT = 3.0  # grey levels of 255: what compression, pose, expression and a sum of lights taken for one leave
 OWN_ERROR = 1.5  # degrees, by which fits to two photographs under one light differ
 SOFT_ERROR = (0.104, 0.144, 0.088)  # standard deviation of a fitted light, over 60 held-out rendered heads
 FAINT = 0.003  # of the photograph's light: smaller amounts are the fit's own noise
-NORMALS_ERR = 0.15  # cosine: beyond the edge of a light, how far the average face's normals may be off
 MIXTURE_SIZE = 20.0  # degrees: the lights of a mixture stand about so far apart
 CAMERA = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -84,6 +84,14 @@ def crop_frame(relighter: StatisticalRelighter) -> CropFrame:
     height, width = relighter.statistics.size
     margin = float(relighter.statistics.metadata.get("config", {}).get("margin", 0.0))  # type: ignore[attr-defined]
     return CropFrame(height, width, margin)
+
+
+def wobble(statistics: FaceStatistics, lights: Tensor) -> Tensor:
+    """Variance of the average face under unit ``lights (S, 3)`` by an error of ``OWN_ERROR``, ``(S, P)``."""
+    about = torch.linalg.svd(lights[:, None])[2][:, 1:] * math.radians(OWN_ERROR)  # (S, 2, 3), across the sphere
+    there = prior_mean(statistics, lights)
+    moved = [prior_mean(statistics, unit_lights(lights + about[:, axis])) - there for axis in (0, 1)]
+    return moved[0].square() + moved[1].square()
 
 
 class FaceModel:
@@ -216,13 +224,15 @@ class FaceModel:
             return SourceLight(direction, nearest, luminance * scale, self._noise(scale))
         direction = torch.nn.functional.normalize(share @ self.lights, dim=0)
         mixture = torch.tensordot(share, average.clamp_min(0), 1)
-        about = torch.linalg.svd(direction[None])[2][1:] * np.deg2rad(OWN_ERROR)  # (2, 3), steps across the sphere
-        near = unit_lights(torch.cat((direction[None], direction + about)))
-        single = prior_mean(statistics, near.to(statistics.lights)).unflatten(1, statistics.size).cpu()
-        quotient = ((single[0].clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
+        light = direction[None].to(statistics.lights)
+        single, moved = (
+            part.unflatten(1, statistics.size)[0].cpu()
+            for part in (prior_mean(statistics, light), wobble(statistics, light))
+        )
+        quotient = ((single.clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
             1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
         )
-        noise = self._noise(quotient / strength).square() + (single[1:] - single[0]).square().sum(0)
+        noise = self._noise(quotient / strength).square() + moved
         return SourceLight(direction, amounts, luminance / strength * quotient, noise.sqrt())
 
     def _noise(self, scale: Tensor) -> Tensor:
@@ -241,17 +251,11 @@ class FaceModel:
         far enough to be reached.
         """
         seen = directions.astype(np.float64) @ self.rotation
-        side = in_front(directions, self.rotation)
-        radiance = (self.crops(side).clamp_min(0) * self.exposure).numpy()
+        radiance = (self.crops(in_front(directions, self.rotation)).clamp_min(0) * self.exposure).numpy()
+        normal = torch.from_numpy(self.normal)
         for one in np.flatnonzero(seen[:, 2] < 0):
-            radiance[one] *= self._reached(seen[one], side[one].numpy())
+            radiance[one] *= share_reached(normal, torch.from_numpy(seen[one]).to(normal)[None]).numpy()
         return radiance
-
-    def _reached(self, behind: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """The share of a light at the head's ``side (3,)`` that is left of one ``behind (3,)`` it, ``(h, w)``: of
-        Lambert's cosine on the average face, softened as far as its normals may err."""
-        there, here = (self.normal @ light + NORMALS_ERR for light in (behind, side))
-        return np.clip(there / np.maximum(here, 1e-3), 0, 1).astype(np.float32)
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -289,9 +293,7 @@ class FaceModel:
 def in_front(directions: np.ndarray, rotation: np.ndarray) -> Tensor:
     """``directions (P, 3)`` as a head that is turned by ``rotation (3, 3)`` sees them, those behind it at its nearest
     side, ``(P, 3)``."""
-    front = directions.astype(np.float64) @ rotation
-    front[:, 2] = np.maximum(front[:, 2], 0)
-    return torch.from_numpy(front / np.maximum(np.linalg.norm(front, axis=1, keepdims=True), 1e-6)).float()
+    return nearest_side(torch.from_numpy(directions.astype(np.float64) @ rotation)).float()
 
 
 def _looks_up(relighter: StatisticalRelighter) -> float:

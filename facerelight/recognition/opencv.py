@@ -4,6 +4,7 @@ deep one."""
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from typing import Any
 
 import cv2
@@ -23,6 +24,7 @@ RECOGNIZERS = {
     "fisherfaces": opencv.face.FisherFaceRecognizer_create,
     "lbph": opencv.face.LBPHFaceRecognizer_create,
 }
+CROPS_KEPT = 4096  # by an embedding: 2 MB of 128 numbers each
 
 
 class OpenCVClassifier(Classifier):
@@ -68,8 +70,9 @@ class OpenCVClassifier(Classifier):
 class EmbeddingFeatures(nn.Module):
     """An embedding as a normaliser of aligned crops in radiance: compare its vectors by cosine.
 
-    Networks are trained on photographs as cameras write them: radiance is coded as sRGB first. Vectors are kept, for
-    tables probe with the very photographs that they enroll, and a network is slow.
+    Networks are trained on photographs as cameras write them: radiance is coded as sRGB first. Vectors of
+    the last ``CROPS_KEPT`` crops are kept, for tables probe with the very photographs that they enroll, and a network
+    is slow.
 
     Args:
         embedding: such as :class:`facerelight.recognition.sface.SFace`.
@@ -81,7 +84,7 @@ class EmbeddingFeatures(nn.Module):
     def __init__(self, embedding: Embedding, frame: CropFrame) -> None:
         super().__init__()
         self.embedding, self.frame = embedding, frame
-        self._known: dict[bytes, Tensor] = {}
+        self._known: OrderedDict[bytes, Tensor] = OrderedDict()  # the longest unused first
 
     def forward(self, images: Tensor) -> Tensor:
         crop = self.embedding.crop
@@ -94,8 +97,13 @@ class EmbeddingFeatures(nn.Module):
         new = {key: row for row, key in enumerate(keys) if key not in self._known}
         if new:
             vectors = self.embedding(np.repeat(coded[list(new.values()), ..., None], 3, axis=3))
-            self._known |= dict(zip(new, vectors, strict=True))
-        return torch.stack([self._known[key] for key in keys])[:, None]
+            self._known |= {key: vector.clone() for key, vector in zip(new, vectors, strict=True)}
+        for key in keys:
+            self._known.move_to_end(key)
+        found = torch.stack([self._known[key] for key in keys])[:, None]
+        while len(self._known) > CROPS_KEPT:
+            self._known.popitem(last=False)
+        return found
 
 
 def _bytes(images: Tensor) -> list[np.ndarray]:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from facerelight.augment.folder import training_pictures
+from facerelight.augment.folder import relit_copies, training_pictures
+from facerelight.augment.random_face_relight import RandomFaceRelight
 from facerelight.cli import main
 
 
@@ -70,10 +71,35 @@ def test_lamps_are_those_of_the_seed_and_nothing_is_overwritten(pictures, tmp_pa
     assert run(pictures, outs[0], "--force") == 1
 
 
+@pytest.mark.parametrize("name", ["ann/one.png", "bob/more/two_01.jpg", "manifest.csv"])
+def test_neither_pictures_nor_copies_nor_the_manifest_are_overwritten(pictures, tmp_path, capsys, name):
+    there = tmp_path / name
+    there.parent.mkdir(parents=True, exist_ok=True)
+    there.write_bytes(b"mine")
+    assert run(pictures, tmp_path) == 2
+    assert f"{there}: exists already; --force" in capsys.readouterr().err
+    assert there.read_bytes() == b"mine"
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [there]
+
+
+def test_copies_are_relit_a_few_at_a_time(crops, quick, monkeypatch):
+    pixels = (255 * crops(10, 5)[0] ** (1 / 2.2)).byte().expand(3, -1, -1).permute(1, 2, 0).contiguous().numpy()
+    relight, sizes = RandomFaceRelight(relighter=quick, p=1.0), []
+    relight.register_forward_pre_hook(lambda _, given: sizes.append(len(given[0])))
+    together = relit_copies(pixels, 5, relight, None, (3, 1))
+    monkeypatch.setattr("facerelight.augment.folder.PIXELS_AT_ONCE", 2 * 112 * 112 + 5)
+    apart = relit_copies(pixels, 5, relight, None, (3, 1))
+    assert sizes == [5, 2, 2, 1]
+    for (one, lamp), (other, same) in zip(together, apart, strict=True):
+        assert lamp == same
+        assert np.abs(one.astype(int) - other).max() <= 1  # sums of a batch are rounded in another order
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
         (("--copies", "0"), "copies: expected at least 1, got 0"),
+        (("--seed", "-1"), "seed: expected 0 or more, got -1"),
         (("--frame", "1,2,3"), "landmarks: expected six numbers"),
         (("--elevation", "20", "10"), "elevation: expected two numbers"),
     ],
@@ -81,6 +107,7 @@ def test_lamps_are_those_of_the_seed_and_nothing_is_overwritten(pictures, tmp_pa
 def test_options_that_are_none(pictures, tmp_path, capsys, more, said):
     assert run(pictures, tmp_path / "out", *more) == 2
     assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_places_that_are_none(pictures, tmp_path, capsys):

@@ -151,6 +151,19 @@ def test_a_positive_azimuth_lights_image_left(crops, quick, side):
     assert (left > 1.5 * right if side > 0 else right > 1.5 * left).all()
 
 
+def test_a_lamp_behind_the_face_lights_its_rim_alone(packaged, crops, quick):
+    faces = crops(0, 0)[:2]
+    options = {"fill": (0.0, 0.0), "size": (0.0, 0.0)}
+    beside, just, rim, none = (lit_from(azimuth, 0.0, quick, **options)(faces) for azimuth in (90, 90.5, 135, 180))
+    assert (just - beside).abs().mean() < 0.01  # it does not jump
+    front, edge = (..., slice(50, 90), slice(48, 64)), (..., slice(50, 90), slice(14, 24))
+    assert rim[front].mean() < 0.3 * beside[front].mean()
+    assert rim[edge].mean() > 2 * rim[front].mean()
+    assert (none[front] < 0.1 * faces[front]).all()
+    exact = lit_from(135, 0.0, ExactRelighter(packaged), **options)(faces)
+    assert 255 * (rim - exact).square().mean().sqrt() < 6
+
+
 def test_the_light_that_was_there_changes_little(crops, quick):
     faces = crops(0, 0)
     options = {"fill": (0.0, 0.0), "size": (0.0, 0.0)}
@@ -181,16 +194,47 @@ def test_the_fast_path_is_near_the_exact_one(packaged, crops, quick):
     assert 255 * (exact - faces).square().mean().sqrt() > 25
 
 
-def test_what_is_no_lit_face_passes_and_is_said(faces, quick):
+def test_what_is_black_not_finite_or_of_strong_contrast_passes_and_is_said(faces, quick):
     odd = faces.clone()
     odd[0], odd[1] = 0.0, float("nan")
-    odd[2] = (torch.rand(1, 14, 14).repeat_interleave(8, 1).repeat_interleave(8, 2) > 0.5).float()
+    odd[2] = (
+        torch.rand(1, 14, 14, generator=torch.Generator().manual_seed(0))
+        .repeat_interleave(8, 1)
+        .repeat_interleave(8, 2)
+        > 0.5
+    ).float()
     augment = RandomFaceRelight(relighter=quick, p=1.0)
     relit = augment(odd)
     assert augment._params["relit"].tolist() == [False, False, False, True, True, True]
     assert torch.equal(relit[[0, 2]], odd[[0, 2]])
     assert relit[1].isnan().all()
     assert torch.isfinite(relit[3:]).all()
+    augment(torch.stack((torch.ones(3, 112, 112), torch.rand(3, 112, 112))))
+    assert augment._params["relit"].all()  # no face is looked for
+
+
+@pytest.mark.parametrize("encoding", ["srgb", "linear"])
+def test_another_range_is_refused(faces, quick, encoding):
+    augment = RandomFaceRelight(relighter=quick, encoding=encoding, p=0.5)
+    mean, std = (torch.tensor(part)[:, None, None] for part in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
+    for other in (255 * faces, 2 * faces - 1, (faces - mean) / std):
+        with pytest.raises(
+            ValueError, match=r"expected values in 0\.\.1, got .* to .*; divide values of 0\.\.255 by 255"
+        ):
+            augment(other)
+    mixed = faces.clone()
+    mixed[2] *= 255
+    with pytest.raises(ValueError, match="expected values in"):
+        augment(mixed)
+
+
+def test_noise_counts_as_black_and_white(faces, quick):
+    augment = RandomFaceRelight(relighter=quick, p=1.0)
+    noisy = faces + 0.15 * torch.randn(faces.shape, generator=torch.Generator().manual_seed(0))
+    assert noisy.min() < -0.3
+    relit = augment(noisy)
+    assert augment._params["relit"].all()
+    assert torch.equal(augment(noisy.clamp(0, 1), params=augment._params), relit)
 
 
 def test_landmarks_say_where_a_face_is(faces, quick):
@@ -205,6 +249,20 @@ def test_landmarks_say_where_a_face_is(faces, quick):
     shifted = augment(moved, params=drawn, landmarks=marks)[..., 8:, 12:]
     inside = (..., slice(20, 95), slice(20, 92))
     assert (shifted - relit)[inside].abs().mean() < 0.004
+
+
+def test_neighbours_of_other_sizes_change_nothing(faces, quick):
+    """Faces that fill the crop, and one of a third of that size between them."""
+    large = torch.nn.functional.interpolate(faces[:3], (448, 448), mode="bilinear")
+    marks = frame_landmarks("arcface112", 448, 448).expand(3, -1, -1).clone()
+    marks[1] = marks[1] / 3 + 100
+    augment = RandomFaceRelight(relighter=quick, p=1.0)
+    relit, drawn = augment(large, landmarks=marks), augment._params
+    for one in range(3):
+        alone = {name: drawn[name][one : one + 1] for name in ("azimuth", "elevation", "size", "fill", "mix")}
+        alone["batch_prob"] = torch.ones(1)
+        single = augment(large[one : one + 1], params=alone, landmarks=marks[one : one + 1])
+        assert torch.allclose(single[0], relit[one], atol=1e-4)
 
 
 @pytest.mark.parametrize("side", [56, 448])

@@ -46,6 +46,19 @@ def test_a_table_shows_each_photograph_to_a_network_once() -> None:
     assert torch.allclose(again, EmbeddingFeatures(Shown(), CropFrame(48, 42))(images.flip(0)))
 
 
+def test_only_so_many_vectors_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("facerelight.recognition.opencv.CROPS_KEPT", 3)
+    network, generator = Shown(), torch.Generator().manual_seed(0)
+    images = torch.rand(5, 48, 42, generator=generator)
+    features = EmbeddingFeatures(network, CropFrame(48, 42))
+    assert torch.allclose(features(images), EmbeddingFeatures(Shown(), CropFrame(48, 42))(images))
+    features(images[[2, 0]])  # the third is known, the first no longer
+    assert len(network.crops) == 1
+    features(images[[0, 2, 4]])  # the last that were used are all known
+    assert len(network.crops) == 1
+    assert len(features._known) == 3
+
+
 def test_opencv_is_given_srgb(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[np.ndarray] = []
 

@@ -164,7 +164,8 @@ KINDS: list[tuple[str, Callable[[_Place], None]]] = [
 
 
 def environments(seed: int = 0) -> dict[str, Tensor]:
-    """Twenty maps by name, ``(64, 128, 3)`` float32, linear; each depends on its name and ``seed`` alone.
+    """Twenty maps by name, ``(64, 128, 3)`` float32, linear; each depends on its place in the list and on
+    ``seed`` alone.
 
     Example:
         >>> maps = environments()

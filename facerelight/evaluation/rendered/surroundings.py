@@ -17,20 +17,20 @@ from torch.nn.functional import normalize
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.relighting import inside_interval
+from facerelight.geometry.behind import nearest_side
 from facerelight.geometry.environment import environment_light, map_directions
 from facerelight.geometry.lights import nearest_lights
 from facerelight.geometry.sums import LightSum, even_sphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
-from facerelight.numerics.luminance import LUMINANCE, QUOTIENT_FLOOR
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, LUMINANCE, QUOTIENT_FLOOR
 from facerelight.train.dataset import make_dataset
 
 __all__ = ["ROWS", "Surrounded", "SurroundedHeads", "measure_head", "one_gain", "render_heads", "surroundings"]
 
 ROWS = ("average face", "one lamp", "quotient", "estimated", "labelled", "labelled, front")
 DIRECTIONS = 256  # over the whole sphere, 8 degrees apart
-LARGEST_QUOTIENT = 4.0
 BRIGHT = 0.995  # quantile of a picture that is exposed to white
 EVERY = 4  # of the single lights one is asked for its interval
 GATHERED_AT_ONCE = 2048
@@ -114,7 +114,7 @@ def measure_head(
         middle = normalize(light.amounts @ light.directions, dim=1)
         ahead = (light.directions[:, 2] >= 0).to(photo)
         posteriors = {
-            "one lamp": relighter.condition(photo[None, None], in_front(middle)),
+            "one lamp": relighter.condition(photo[None, None], nearest_side(middle)),
             "quotient": relighter.condition(*_quotient(relighter, average, rough, photo)),
             "estimated": relighter.condition(photo[None, None], None, draws=draws),
             "labelled": relighter.condition(photo[None, None], light),
@@ -133,11 +133,6 @@ def measure_head(
                     scores["coverage95"] = 100 * float(inside.mean())
                 found[name, row, what] = scores
     return found
-
-
-def in_front(middle: Tensor) -> Tensor:
-    """A lamp ``(1, 3)`` at the head's nearest side, where it would be behind it."""
-    return normalize(torch.cat((middle[:, :2], middle[:, 2:].clamp_min(0)), 1), dim=1)
 
 
 def one_gain(relit: Tensor, truth: Tensor) -> dict[str, float]:
