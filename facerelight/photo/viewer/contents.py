@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import torch
 
+from facerelight.geometry import behind
 from facerelight.geometry.sources import fill_light
 from facerelight.numerics.luminance import LUMINANCE
-from facerelight.photo import colour, compose, face_model, person, ratio
+from facerelight.photo import colour, compose, person, ratio
 from facerelight.photo.bust import shading, surface
 from facerelight.photo.bust.frame import BUST, FINE, Grid, crop_to_bust, smooth_step
 from facerelight.photo.session import PhotoRelighter
@@ -163,7 +164,7 @@ def _light(session: PhotoRelighter) -> dict[str, Any]:
 def _constants() -> dict[str, Any]:
     """Numbers of the modules that the page does over, so that they stand in one place."""
     modules = {"ratio": ratio, "shading": shading, "surface": surface, "person": person, "colour": colour}
-    modules |= {"compose": compose, "face_model": face_model}
+    modules |= {"compose": compose, "behind": behind}
     numbers = {
         name: {key: value for key, value in vars(module).items() if key.isupper() and _plain(value)}
         for name, module in modules.items()

@@ -80,11 +80,11 @@ class Ratio {
     return { face, bust };
   }
 
-  // the head as it is turned: photo/face_model.py
+  // the head as it is turned: photo/face_model.py and geometry/behind.py
   radiance(direction) {
     const seen = fromHead(direction, this.facts.rotation), side = inFront(seen), radiance = this.dome.at(side);
     if (seen[2] >= 0) return radiance;
-    const err = this.facts.constants.face_model.NORMALS_ERR, normals = this.faceNormal.map((axis) => axis.values);
+    const err = this.facts.constants.behind.NORMALS_ERR, normals = this.faceNormal.map((axis) => axis.values);
     const facing = (light, p) => light[0] * normals[0][p] + light[1] * normals[1][p] + light[2] * normals[2][p] + err;
     return radiance.map((value, p) => value * clamp(facing(seen, p) / Math.max(facing(side, p), 1e-3), 0, 1));
   }
