@@ -8,9 +8,10 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
 
+from facerelight.photo.scenes import QUALITIES
+
 __all__ = ["augment_parser", "run_augment"]
 
-QUALITIES = ("draft", "standard", "reference")
 RANGES = {
     "azimuth": ((-75.0, 75.0), "degrees, positive at image-left"),
     "elevation": ((-30.0, 60.0), "degrees, positive above"),

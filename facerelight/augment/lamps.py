@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.distributions import Uniform
 
 from facerelight.geometry.lights import light_from_angles
-from facerelight.geometry.sources import GOLDEN_ANGLE, fill_light
+from facerelight.geometry.sources import disc_points, fill_light
 from facerelight.geometry.sums import LightSum
 
 __all__ = ["LampGenerator", "Range", "camera_lamps", "fill_lamps", "lamp_points"]
@@ -75,15 +75,7 @@ def lamp_points(azimuth: Tensor, elevation: Tensor, size: Tensor) -> LightSum:
         azimuth, elevation, size: ``(B,)`` degrees.
     """
     towards = light_from_angles(azimuth.double(), elevation.double().clamp(-90, 90))
-    steep = towards[:, 1:2].abs() >= 0.95
-    up = torch.where(steep, towards.new_tensor((1.0, 0.0, 0.0)), towards.new_tensor((0.0, 1.0, 0.0)))
-    across = torch.nn.functional.normalize(torch.linalg.cross(up, towards), dim=1)
-    along = torch.linalg.cross(towards, across)
-    index = torch.arange(POINTS, dtype=torch.float64, device=towards.device)
-    angle = torch.deg2rad(size.double())[:, None] * torch.sqrt((index + 0.5) / POINTS)  # (B, 7)
-    turn = index * GOLDEN_ANGLE
-    ring = torch.cos(turn)[:, None] * across[:, None] + torch.sin(turn)[:, None] * along[:, None]  # (B, 7, 3)
-    points = torch.cos(angle)[..., None] * towards[:, None] + torch.sin(angle)[..., None] * ring
+    points = disc_points(towards, size, POINTS)
     return LightSum(points, torch.full_like(points[..., 0], 1 / POINTS))
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from facerelight.numerics.luminance import LARGEST_QUOTIENT, QUOTIENT_FLOOR
+from facerelight.light.soft import one_lamp_quotient
 
 __all__ = ["FRONT", "SourceLights", "find_source_lights", "front_lights"]
 
@@ -35,8 +35,7 @@ class SourceLights(NamedTuple):
             average: ``(J, P)``, the average face under each bootstrap light.
             single: ``(B, P)``, under the one.
         """
-        quotient = (single.clamp_min(0) + QUOTIENT_FLOOR) / (self.share @ average.clamp_min(0) + QUOTIENT_FLOOR)
-        return quotient.clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
+        return one_lamp_quotient(single, self.share @ average.clamp_min(0))
 
 
 def find_source_lights(average: Tensor, lights: Tensor, luminance: Tensor, mask: Tensor) -> SourceLights:

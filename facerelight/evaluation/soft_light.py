@@ -21,12 +21,11 @@ from facerelight.geometry.sums import LightSum
 from facerelight.inference.posterior import Posterior
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.amounts import SoftLightEstimator
-from facerelight.light.soft import fit_soft_light
+from facerelight.light.soft import fit_soft_light, one_lamp_quotient
 from facerelight.model.covariance import prior_mean
 from facerelight.model.statistics import FaceStatistics
-from facerelight.numerics.luminance import LARGEST_QUOTIENT, QUOTIENT_FLOOR
 
-__all__ = ["SoftScores", "evaluate_soft_light", "soft_lights"]
+__all__ = ["SoftScores", "brought_to_one_lamp", "evaluate_soft_light", "soft_lights"]
 
 Make = Callable[[Tensor, Tensor, Tensor], FaceStatistics]
 
@@ -112,8 +111,8 @@ def evaluate_soft_light(
                 posterior = relighter.condition(photo[None, None], given, draws=draws, register=register)
                 add("exact", name, posterior.mean(targets)[0], truth, _covered(posterior, targets, truth))
                 rough = fit_soft_light(average, photo, torch.ones_like(photo)) if estimated else true
-                middle = torch.nn.functional.normalize(rough @ faces.lights, dim=0)[None]
-                for row, image in (("quotient", _quotient(statistics, average, rough, photo)), ("one_lamp", photo)):
+                equivalent, middle = brought_to_one_lamp(statistics, average, rough, photo)
+                for row, image in (("quotient", equivalent), ("one_lamp", photo)):
                     single = relighter.condition(image[None, None], middle, register=register)
                     add(row, name, single.mean(targets)[0], truth)
                 add("average_face", name, average[kept], truth)
@@ -145,14 +144,23 @@ def _from_front(
         add("from_front", name, relit[index][None], truth[index][None])
 
 
-def _quotient(statistics: FaceStatistics, average: Tensor, amounts: Tensor, photo: Tensor) -> Tensor:
-    """``photo`` under one lamp in the middle of its light, by the quotient of average faces."""
-    share = amounts / amounts.sum().clamp_min(1e-12)
+def brought_to_one_lamp(
+    statistics: FaceStatistics, average: Tensor, amounts: Tensor, photo: Tensor
+) -> tuple[Tensor, Tensor]:
+    """``photo (H, W)`` as under one lamp in the middle of its light, by the quotient of average faces, and that lamp
+    ``(1, 3)``.
+
+    Args:
+        statistics: of the average face.
+        average: ``(J, H, W)``, it under each of the statistics' lights, never negative.
+        amounts: ``(J,)`` of these in the photograph's light.
+        photo: radiance.
+    """
+    strength = amounts.sum().clamp_min(1e-12)
+    share = amounts / strength
     middle = torch.nn.functional.normalize(share @ statistics.lights, dim=0)[None]
-    single = prior_mean(statistics, middle).view(statistics.size).clamp_min(0)
-    mixture = torch.tensordot(share, average, 1)
-    quotient = (single + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)
-    return photo / amounts.sum().clamp_min(1e-12) * quotient.clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
+    single = prior_mean(statistics, middle).view(statistics.size)
+    return photo / strength * one_lamp_quotient(single, torch.tensordot(share, average, 1)), middle
 
 
 def _covered(posterior: Posterior, targets: Tensor, truth: Tensor) -> Tensor:

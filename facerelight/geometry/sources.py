@@ -18,7 +18,7 @@ from torch import Tensor
 from facerelight.geometry.lights import even_hemisphere, light_from_angles
 from facerelight.numerics.luminance import LUMINANCE
 
-__all__ = ["Lamp", "LightMixture", "fill_light", "lights_behind", "scene_light"]
+__all__ = ["Lamp", "LightMixture", "disc_points", "fill_light", "lights_behind", "scene_light"]
 
 FILL_POINTS = 24
 # A dome of this strength lights a face from the front as brightly as a lamp of power 1 at the camera
@@ -87,14 +87,8 @@ class Lamp:
         """The lamp as points on its disc (Vogel's spiral), more of them the larger it is."""
         count = 1 if self.size < 2 else 7 if self.size < 8 else 13 if self.size < 25 else 24
         towards = light_from_angles(float(self.azimuth), float(self.elevation)).double()
-        up = torch.tensor([0.0, 1.0, 0.0] if abs(float(towards[1])) < 0.95 else [1.0, 0.0, 0.0], dtype=torch.float64)
-        across = torch.nn.functional.normalize(torch.linalg.cross(up, towards), dim=0)
-        along = torch.linalg.cross(towards, across)
-        index = torch.arange(count, dtype=torch.float64)
-        angle = math.radians(self.size) * torch.sqrt((index + 0.5) / count) * (count > 1)  # from the middle of the disc
-        turn = index * GOLDEN_ANGLE
-        ring = torch.cos(turn)[:, None] * across + torch.sin(turn)[:, None] * along
-        points = torch.cos(angle)[:, None] * towards + torch.sin(angle)[:, None] * ring
+        size = self.size if count > 1 else 0.0  # a bulb is its middle
+        points = disc_points(towards[None], towards.new_tensor([size]), count)[0]
         colour = torch.tensor(self.colour, dtype=torch.float64)
         colour = colour / (colour @ torch.tensor(LUMINANCE, dtype=torch.float64))
         weights = (self.power / count * colour).expand(count, 3)
@@ -104,6 +98,24 @@ class Lamp:
             torch.full((count,), float(self.size)),
             torch.zeros(count, dtype=torch.long),
         )
+
+
+def disc_points(towards: Tensor, size: Tensor, count: int) -> Tensor:
+    """``count`` points spread evenly over each of B discs (Vogel's spiral), unit vectors ``(B, count, 3)`` float64.
+
+    Args:
+        towards: ``(B, 3)`` unit vectors float64 to the middles.
+        size: ``(B,)`` angular radii in degrees.
+    """
+    steep = towards[:, 1:2].abs() >= 0.95
+    up = torch.where(steep, towards.new_tensor((1.0, 0.0, 0.0)), towards.new_tensor((0.0, 1.0, 0.0)))
+    across = torch.nn.functional.normalize(torch.linalg.cross(up, towards), dim=1)
+    along = torch.linalg.cross(towards, across)
+    index = torch.arange(count, dtype=torch.float64, device=towards.device)
+    angle = torch.deg2rad(size.double())[:, None] * torch.sqrt((index + 0.5) / count)  # (B, count), from the middle
+    turn = index * GOLDEN_ANGLE
+    ring = torch.cos(turn)[:, None] * across[:, None] + torch.sin(turn)[:, None] * along[:, None]  # (B, count, 3)
+    return torch.cos(angle)[..., None] * towards[:, None] + torch.sin(angle)[..., None] * ring
 
 
 def fill_light(strength: float) -> LightMixture:

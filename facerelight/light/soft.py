@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from facerelight.numerics.checks import check_mask, check_radiance
+from facerelight.numerics.luminance import LARGEST_QUOTIENT, QUOTIENT_FLOOR
 
-__all__ = ["fit_soft_light"]
+__all__ = ["fit_soft_light", "one_lamp_quotient"]
 
 
 def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int = 300) -> Tensor:
@@ -39,3 +40,15 @@ def fit_soft_light(mean_images: Tensor, image: Tensor, mask: Tensor, steps: int 
     for _ in range(steps):
         amounts = amounts * target / (gram @ amounts).clamp_min(1e-30)
     return amounts.to(image)
+
+
+def one_lamp_quotient(single: Tensor, mixture: Tensor) -> Tensor:
+    """What a photograph is multiplied by to be as under one lamp: the average face under that over the average face
+    under the photograph's own light, no pixel by more than 4 or less than a quarter.
+
+    Args:
+        single: radiance of the average face under the one lamp, of any shape.
+        mixture: under the photograph's light, of the same strength.
+    """
+    quotient = (single.clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)
+    return quotient.clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)

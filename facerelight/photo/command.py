@@ -19,6 +19,7 @@ from facerelight.photo.folder.share import Share, join_processes
 from facerelight.photo.scenes import (
     ENVIRONMENT,
     LAMP,
+    QUALITIES,
     Scene,
     parse_angles,
     parse_environment,
@@ -34,7 +35,6 @@ __all__ = ["relight_parser", "run_relight"]
 INTERRUPTED = 130  # exit code, as shells have it
 COVARIANCES = ("face", "pixel")
 SETUPS = ("rembrandt", "butterfly", "loop", "split", "clamshell", "rim")
-QUALITIES = ("draft", "standard", "reference")
 EPILOG = """The relit photo keeps size, depth, colour profile, EXIF and alpha. JPEG is written at quality 95 without
 chroma subsampling; a photo with alpha is laid over white there. Exit codes: 0 done, 1 nothing found, or a part of
 several photos failed, 2 bad input, 3 the program or the machine failed."""

@@ -27,10 +27,10 @@ from facerelight.inference.methods import RELIGHTING_METHODS, Method
 from facerelight.inference.posterior import Posterior
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.estimator import GaussianBelief
-from facerelight.light.soft import fit_soft_light
+from facerelight.light.soft import fit_soft_light, one_lamp_quotient
 from facerelight.model.covariance import prior_mean
 from facerelight.model.statistics import FaceStatistics
-from facerelight.numerics.luminance import LARGEST_QUOTIENT, LUMINANCE, QUOTIENT_FLOOR
+from facerelight.numerics.luminance import LUMINANCE
 from facerelight.photo.bust.frame import blur
 from facerelight.photo.face_mask import face_mask
 
@@ -229,9 +229,7 @@ class FaceModel:
             part.unflatten(1, statistics.size)[0].cpu()
             for part in (prior_mean(statistics, light), wobble(statistics, light))
         )
-        quotient = ((single.clamp_min(0) + QUOTIENT_FLOOR) / (mixture + QUOTIENT_FLOOR)).clamp(
-            1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT
-        )
+        quotient = one_lamp_quotient(single, mixture)
         noise = self._noise(quotient / strength).square() + moved
         return SourceLight(direction, amounts, luminance / strength * quotient, noise.sqrt())
 

@@ -1,4 +1,5 @@
-"""The lights a command line asks for: a scene of lamps for each picture, and file names that tell pictures apart."""
+"""What the verbs of the command line share: the lights that are asked for, a scene of lamps for each picture, and file
+names that tell pictures apart."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from facerelight.geometry.sources import Lamp, LightMixture
 
 __all__ = [
+    "QUALITIES",
     "Scene",
     "join_values",
     "parse_angles",
@@ -21,6 +23,7 @@ __all__ = [
     "scene_paths",
 ]
 
+QUALITIES = ("draft", "standard", "reference")  # those of config, so that help needs no torch
 LAMP = "AZIMUTH,ELEVATION[,size=DEGREES][,power=NUMBER][,colour=RRGGBB]"
 ENVIRONMENT = "FILE[,turn=DEGREES][,exposure=STOPS]"
 TEXTS = ("--light", "--source-light", "--landmarks")  # options whose value may begin with a minus

@@ -16,7 +16,7 @@ import torch
 from facerelight.evaluation.results import ScriptParser
 from facerelight.evaluation.visualize import contact_sheet
 from facerelight.geometry.environment import environment_light, even_light, map_directions
-from facerelight.geometry.lights import light_from_angles
+from facerelight.geometry.lights import angles_from_light, light_from_angles
 from facerelight.geometry.sources import LightMixture
 from facerelight.geometry.studio import STUDIO, studio_lamps
 from facerelight.photo import PhotoRelighter
@@ -40,9 +40,8 @@ def sunset() -> torch.Tensor:
 def room() -> torch.Tensor:
     """A tall window at image-right in a room of warm walls, with a lamp on the ceiling, ``(64, 128, 3)`` linear."""
     directions = map_directions(64, 128)
-    azimuth = torch.rad2deg(torch.atan2(directions[..., 0], directions[..., 2]))
-    elevation = torch.rad2deg(torch.asin(directions[..., 1].clamp(-1, 1)))
-    window = ((azimuth - 50).abs() < 22) & (elevation > -15) & (elevation < 45)
+    azimuth, elevation = angles_from_light(directions)
+    window = ((azimuth + 50).abs() < 22) & (elevation > -15) & (elevation < 45)
     walls = torch.tensor((0.5, 0.4, 0.3)).expand(64, 128, 3)
     lamp = torch.tensor((3.0, 2.2, 1.3)) * (elevation > 70)[..., None]
     return walls + lamp + torch.tensor((6.0, 7.0, 8.0)) * window[..., None]

@@ -27,6 +27,7 @@ import numpy as np
 from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.sources import Lamp
 from facerelight.photo import PhotoRelighter, load_relighter
+from facerelight.photo.files.profiles import encode_srgb
 from facerelight.photo.film.relighter import FilmRelighter, Lighting
 from facerelight.photo.film.track import Picture
 
@@ -95,7 +96,7 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.n
                 image += power * shade(surface, light, look.material, plan, renderer).numpy()
             level = level or float(np.percentile(image[share[..., 0] > 0.9], 90))
             linear = np.clip(image[..., None] / level * 0.5 * SKIN * share + WALL * (1 - share), 0, 1)
-            coded = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+            coded = 255 * encode_srgb(linear)
             film.append(noisy(coded, rng, 2.0) if film is films[0] else coded.round().astype(np.uint8))
     renderer.close()
     return *films, always

@@ -17,6 +17,7 @@ from torch.nn.functional import normalize
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.relighting import inside_interval
+from facerelight.evaluation.soft_light import brought_to_one_lamp
 from facerelight.geometry.behind import nearest_side
 from facerelight.geometry.environment import environment_light, map_directions
 from facerelight.geometry.lights import nearest_lights
@@ -24,7 +25,7 @@ from facerelight.geometry.sums import LightSum, even_sphere
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.light.soft import fit_soft_light
 from facerelight.model.covariance import prior_mean
-from facerelight.numerics.luminance import LARGEST_QUOTIENT, LUMINANCE, QUOTIENT_FLOOR
+from facerelight.numerics.luminance import LUMINANCE
 from facerelight.train.dataset import make_dataset
 
 __all__ = ["ROWS", "Surrounded", "SurroundedHeads", "measure_head", "one_gain", "render_heads", "surroundings"]
@@ -111,11 +112,12 @@ def measure_head(
             "surroundings": (around, torch.stack([pictures[other] for other in others])),
         }
         rough = fit_soft_light(average, photo, everywhere)
+        equivalent, lamp = brought_to_one_lamp(statistics, average, rough, photo)
         middle = normalize(light.amounts @ light.directions, dim=1)
         ahead = (light.directions[:, 2] >= 0).to(photo)
         posteriors = {
             "one lamp": relighter.condition(photo[None, None], nearest_side(middle)),
-            "quotient": relighter.condition(*_quotient(relighter, average, rough, photo)),
+            "quotient": relighter.condition(equivalent[None, None], lamp),
             "estimated": relighter.condition(photo[None, None], None, draws=draws),
             "labelled": relighter.condition(photo[None, None], light),
             "labelled, front": relighter.condition(
@@ -142,16 +144,3 @@ def one_gain(relit: Tensor, truth: Tensor) -> dict[str, float]:
     error = ((shown - wanted) * 255).square().mean((1, 2)).sqrt()
     similar = ssim(shown[:, None], wanted[:, None], 11, padding="same").mean((1, 2, 3))
     return {"rmse": float(error.mean()), "ssim": float(similar.mean())}
-
-
-def _quotient(
-    relighter: StatisticalRelighter, average: Tensor, amounts: Tensor, photo: Tensor
-) -> tuple[Tensor, Tensor]:
-    """``photo`` under one lamp in the middle of its light, by the quotient of average faces, and that lamp."""
-    statistics = relighter.statistics
-    share = amounts / amounts.sum().clamp_min(1e-12)
-    middle = normalize(share @ statistics.lights, dim=0)[None]
-    single = prior_mean(statistics, middle).view(statistics.size).clamp_min(0)
-    quotient = (single + QUOTIENT_FLOOR) / (torch.tensordot(share, average, 1) + QUOTIENT_FLOOR)
-    image = photo / amounts.sum().clamp_min(1e-12) * quotient.clamp(1 / LARGEST_QUOTIENT, LARGEST_QUOTIENT)
-    return image[None, None], middle

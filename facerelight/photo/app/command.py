@@ -8,7 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facerelight.photo.viewer.command import QUALITIES, check_side
+from facerelight.photo.scenes import QUALITIES
+from facerelight.photo.viewer.command import check_side
 
 if TYPE_CHECKING:
     from facerelight.inference.relighter import StatisticalRelighter

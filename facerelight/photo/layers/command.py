@@ -8,9 +8,9 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["decompose_parser", "run_decompose"]
+from facerelight.photo.scenes import QUALITIES
 
-QUALITIES = ("draft", "standard", "reference")
+__all__ = ["decompose_parser", "run_decompose"]
 
 
 def decompose_parser() -> ArgumentParser:

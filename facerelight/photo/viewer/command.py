@@ -8,9 +8,10 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
 
+from facerelight.photo.scenes import QUALITIES
+
 __all__ = ["check_side", "run_viewer", "viewer_parser"]
 
-QUALITIES = ("draft", "standard", "reference")
 SIDES = (64, 4000)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from facerelight.geometry.sources import Lamp
 from facerelight.photo.files.pixels import as_rgb
+from facerelight.photo.files.profiles import encode_srgb
 from facerelight.photo.scenes import parse_lamp
 from facerelight.photo.session import PhotoRelighter
 from facerelight.photo.viewer.page import shrunken, viewer_page
@@ -119,8 +120,7 @@ def _lamp(said: dict[str, Any]) -> Lamp:
 
 
 def _described(lamp: Lamp) -> dict[str, Any]:
-    linear = np.array(lamp.colour) / max(lamp.colour)
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    coded = encode_srgb(np.array(lamp.colour) / max(lamp.colour))
     colour = "#" + "".join(f"{round(255 * float(value)):02x}" for value in coded)
     place = {"azimuth": lamp.azimuth, "elevation": lamp.elevation, "size": lamp.size, "power": lamp.power}
     return {**place, "colour": colour}

@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from facerelight.photo.scenes import QUALITIES
+
 if TYPE_CHECKING:  # help and errors of the command line need no torch
     from facerelight.inference.relighter import StatisticalRelighter
     from facerelight.recognition.gallery.gallery import Gallery
@@ -17,7 +19,6 @@ if TYPE_CHECKING:  # help and errors of the command line need no torch
 __all__ = ["recognize_parser", "run_recognize"]
 
 CLASSIFIERS = ("sface", "individual_pca")
-QUALITIES = ("draft", "standard", "reference")
 EPILOG = """Enroll people who agreed to it: templates of faces are biometric data, whose use many laws restrict. Exit
 codes: 0 done; 1 everybody is a stranger, or photos were skipped (each is named); 2 bad input; 3 the program or the
 machine failed."""
