@@ -248,12 +248,13 @@ def correlation_factor(samples: Tensor, rank: int) -> Tensor:
     kept = min(rank, count, variables)
     if kept == 0:
         return samples.new_zeros(*samples.shape[:-2], variables, rank)
+    wide = samples.double()  # in float32 LAPACK gives up on some of these, whose small eigenvalues are all rounding
     if count <= variables:  # the smaller Gram matrix has the same spectrum
-        vectors = torch.linalg.eigh(samples @ samples.mT).eigenvectors[..., -kept:]
-        factor = samples.mT @ vectors
+        factor = wide.mT @ torch.linalg.eigh(wide @ wide.mT).eigenvectors[..., -kept:]
     else:
-        values, vectors = torch.linalg.eigh(samples.mT @ samples)
+        values, vectors = torch.linalg.eigh(wide.mT @ wide)
         factor = vectors[..., -kept:] * values[..., None, -kept:].clamp_min(0).sqrt()
+    factor = factor.to(samples.dtype)
     # rounding may lift a row's length above 1, which would make its own variance negative
     factor = factor / factor.square().sum(-1, keepdim=True).sqrt().clamp_min(1)
     return torch.nn.functional.pad(factor.flip(-1), (0, rank - kept))

@@ -58,6 +58,23 @@ def test_correlation_factor_keeps_a_unit_diagonal() -> None:
         assert (factor.square().sum(-1) <= 1 + 1e-6).all()
 
 
+def test_correlation_factor_tells_small_directions_from_rounding() -> None:
+    # 64 lights that nearly agree, as those of a pixel in the middle of a forehead: in float32 the Gram matrix's small
+    # eigenvalues are rounding, and LAPACK has given up on such matrices
+    generator = torch.Generator().manual_seed(0)
+    basis, _ = torch.linalg.qr(torch.randn(80, 3, generator=generator, dtype=torch.float64))
+    loads = torch.randn(3, 64, generator=generator, dtype=torch.float64) * torch.tensor([[1.0], [1e-5], [1e-6]])
+    unit = basis @ loads
+    unit = unit / unit.norm(dim=0)
+    factor = correlation_factor(unit, 3)
+    assert torch.allclose(factor @ factor.T, unit.T @ unit, atol=1e-14)
+    rounded = correlation_factor(unit.float(), 2)
+    assert rounded.dtype == torch.float32
+    _, _, vectors = torch.linalg.svd(unit)
+    share = (vectors[:2] @ torch.nn.functional.normalize(rounded[:, 1].double(), dim=0)).norm()
+    assert share > 0.999  # five decades down is still a direction of the data
+
+
 def test_kernel_weights_survive_underflow() -> None:
     weights = kernel_weights(torch.tensor([[1e8, 1e8 + 1e4, 2e8]]), 0.01)
     assert torch.allclose(weights, torch.tensor([[1.0, 0.0, 0.0]]))
