@@ -1,4 +1,4 @@
-"""The rendered world in ten numbers: skin, light and how heads stand before the camera; and what one person's skin
+"""The rendered world in a few numbers: skin, light and how heads stand before the camera; and what one person's skin
 makes of light."""
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ class Domain:
         roughness: root mean square slope of that surface (Beckmann); skin has 0.2 to 0.4.
         fill: light from all around, as a fraction of the lamp.
         side_light: a lamp at the side is brighter by this fraction than one at the camera.
+        top_light: a lamp straight above is brighter by this fraction than one at the camera, and one below darker.
         pitch: degrees by which heads look up, on average.
         turn: standard deviation of how heads are turned, to the sides and up, in degrees.
         misalign: standard deviation of a marked landmark, in distances between the eyes.
@@ -31,6 +32,7 @@ class Domain:
     roughness: float = 0.35
     fill: float = 0.02
     side_light: float = 0.4
+    top_light: float = 0.0
     pitch: float = 8.0
     turn: float = 6.0
     misalign: float = 0.07
@@ -44,6 +46,8 @@ class Domain:
             raise ValueError(
                 f"domain: expected texture, specular, fill, side_light >= 0 and roughness in 0.05 to 1, got {self}"
             )
+        if not abs(self.top_light) <= 0.9:
+            raise ValueError(f"domain: expected top_light within 0.9, got {self.top_light}")
         if not (abs(self.pitch) <= 30 and 0 <= self.turn <= 15 and 0 <= self.misalign <= 0.2):
             raise ValueError(
                 f"domain: expected pitch within 30, turn in 0 to 15 degrees and misalign in 0 to 0.2, got {self}"
@@ -52,10 +56,11 @@ class Domain:
 
 @dataclass(frozen=True)
 class Material:
-    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and
-    ``side_light``."""
+    """How a person's picture is lit: ``specular`` reflectance and ``roughness`` of the skin, ``fill`` light, and the
+    lamps' ``side_light`` and ``top_light``."""
 
     specular: float
     roughness: float
     fill: float
     side_light: float = 0.0
+    top_light: float = 0.0

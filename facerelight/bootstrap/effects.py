@@ -41,8 +41,9 @@ class Scene:
 
     @cached_property
     def lamp(self) -> float:
-        """How bright the lamp is: one at the side may be brighter than one at the camera."""
-        return 1 + self.material.side_light * float(1 - self.light[2])
+        """How bright the lamp is: one at the side or above may be brighter than one at the camera."""
+        _, y, z = self.light.tolist()
+        return (1 + self.material.side_light * (1 - z)) * (1 + self.material.top_light * y)
 
 
 @dataclass

@@ -60,6 +60,7 @@ class Look:
                 roughness=domain.roughness,
                 fill=float(domain.fill * rng.uniform(0.5, 1.5)),
                 side_light=domain.side_light,
+                top_light=domain.top_light,
             ),
         )
 

@@ -6,11 +6,12 @@ import torch
 import trimesh
 
 from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.effects import Scene
 from facerelight.bootstrap.heads import Head
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
-from facerelight.bootstrap.surface import view_surface
+from facerelight.bootstrap.surface import Surface, view_surface
 from facerelight.geometry.lights import light_from_angles
 
 
@@ -37,6 +38,15 @@ def test_a_lamp_at_the_side_is_brighter_as_the_domain_says() -> None:
             assert torch.allclose(around[0], around[1], atol=1e-5)
 
 
-def test_people_carry_the_domains_lamp() -> None:
-    look = Look.random(np.random.default_rng(0), Domain(side_light=0.37))
-    assert look.material.side_light == pytest.approx(0.37)
+@pytest.mark.parametrize(("elevation", "brightness"), [(90.0, 1.2), (30.0, 1.1), (0.0, 1.0), (-90.0, 0.8)])
+def test_a_lamp_above_is_brighter_as_the_domain_says(elevation: float, brightness: float) -> None:
+    light = light_from_angles(0.0, elevation)
+    one = torch.zeros(1)
+    surface = Surface(one.expand(1, 3), light[None], one, one.long(), (1, 1), None)  # type: ignore[arg-type]
+    scene = Scene(surface, light, Material(0.03, 0.3, 0.0, top_light=0.2))
+    assert scene.lamp == pytest.approx(brightness, abs=1e-6)
+
+
+def test_people_carry_the_domains_lamps() -> None:
+    material = Look.random(np.random.default_rng(0), Domain(side_light=0.37, top_light=0.12)).material
+    assert (material.side_light, material.top_light) == pytest.approx((0.37, 0.12))
