@@ -68,7 +68,7 @@ class Hairstyle:
         if kind == "fringe" or (kind == "long" and rng.random() < 0.35):
             front = ((0, fringe), (22, fringe - 0.02), (44, fringe - 0.06))
             sides = ((56, min(0.42, fringe - 0.1)), *sides[1 if kind == "long" else 2 :])
-            volume, rise, ragged = rng.uniform(0.1, 0.2), 0.1, 0.09
+            volume, rise, ragged = rng.uniform(0.1, 0.2), 0.1, 0.07
         elif kind in ("short", "receding"):
             ragged = 0.045
         hairy = rng.random() < (0.03 if kind == "long" else 0.26)
@@ -168,7 +168,8 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     beard, moustache = beard_cover(reference, style)
     cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
-    hair = (0.02 + 0.45 * (1 - darkness) ** 1.5) * torch.exp(streaks)
+    hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
+    hair = hair * torch.where(hangs + (depth > -0.1) > 0, 0.6 + 0.4 * (depth / 0.2).clamp(0, 1), 1)  # roots lie in shade
     return torch.lerp(albedo, hair, cover)
 
 

@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import gaussian_filter1d, maximum_filter
 from scipy.spatial import cKDTree
 
-from facerelight.bootstrap.hair import CENTRE, GIRTH, beard_cover, fall, hair_depth, strands
+from facerelight.bootstrap.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
 from facerelight.bootstrap.heads import Head
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ __all__ = ["Scalp", "grow_hair"]
 COLUMNS = 80  # around the head, closer in front
 STEP = 0.085  # between rows
 LOWEST = -3.3  # height of the last row
-NO_HEAD = 0.3  # radius where the head's mesh has ended
-SUNK = 0.05  # where no hair is, the surface lies that far under the skin
+SUNK = 0.3  # where no hair is, the surface lies up to that far under the skin
+ROOTS = 0.03  # so far behind the hairline hair begins to rise
 HANG = 0.12  # hair that hangs comes in by so much a unit
 ROUND = 0.22  # the free edge of hanging hair is rounded over that width
 
@@ -100,39 +100,58 @@ def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
         return grown
     on_head = scalp.weights.sum(-1) > 0
     base = (scalp.weights[..., None] * grown.vertices[scalp.corners]).sum(-2) - scalp.axis[:, None]
-    radius = np.where(on_head, (base * scalp.outward).sum(-1), NO_HEAD)
-    aside = (base - radius[..., None] * scalp.outward) * on_head[..., None]
-    average = np.where(on_head, scalp.radius, NO_HEAD)
+    average = scalp.radius.copy()
+    for row in range(1, len(base)):  # below an open neck
+        base[row], average[row] = (
+            np.where(on_head[row, :, None], base[row], base[row - 1]),
+            np.where(on_head[row], average[row], average[row - 1]),
+        )
+    radius = (base * scalp.outward).sum(-1)
+    aside = base - radius[..., None] * scalp.outward
     own = scalp.axis[:, None] + average[..., None] * scalp.outward
     flat = torch.from_numpy(own.reshape(-1, 3)).float()
     depth = hair_depth(flat, style).numpy().reshape(radius.shape)
     locks = strands(flat, 36, 5, style, 5).numpy().reshape(radius.shape)
-    full = (depth / style.rise).clip(0, 1)
+    full = ((depth - ROOTS) / style.rise).clip(0, 1)
     thickness = style.volume * full * (2 - full) * (1 + style.locks * locks).clip(0.2)
     hangs, height = np.zeros(radius.shape, np.float32), np.repeat(scalp.axis[:, 1:2], radius.shape[1], 1)
-    outer = np.where(depth > 0, radius + thickness, radius + np.maximum(0.6 * depth, -SUNK))
+    # outside it dips as steeply as it rises: it meets the skin where it is painted
+    dip = (2 * style.volume / style.rise * (depth - ROOTS)).clip(-SUNK, 0)
+    outer = radius + thickness + dip
     if style.hem is None:
         outer -= 0.5 * thickness * (1 - ((own[..., 1] - 0.5) / 0.7).clip(0, 1))  # the sides are shorter
     else:
         hanging = _hang(radius, thickness, depth, -np.diff(scalp.axis[:, 1], prepend=scalp.axis[0, 1]))
-        hangs = ((np.maximum(hanging, outer) > radius + 0.03) & (own[..., 1] < 0)).astype(np.float32)
+        lifted = (hanging > np.maximum(outer, radius)) & (own[..., 1] < 0.6)
+        hangs = maximum_filter(lifted, (3, 3), mode=("nearest", "wrap")).astype(np.float32)
         own = own + (hangs * (hanging - outer).clip(0))[..., None] * scalp.outward
         outer = np.maximum(outer, hanging)
-        height = np.maximum(height, style.hem + 0.12 * locks)
+        height = np.maximum(height, style.hem + 0.08 * strands(flat, 12, 5, style, 6).numpy().reshape(radius.shape))
     axis = np.stack(np.broadcast_arrays(CENTRE[0], height, CENTRE[2]), -1)
     vertices = axis + aside + outer[..., None] * scalp.outward
-    kept = (depth > -0.1) | (outer > radius)
+    kept = maximum_filter((depth > 0) | (outer > radius), (3, 3), mode=("nearest", "wrap"))
     above = height == scalp.axis[:, 1:2]  # the end
     index = np.arange(radius.size).reshape(radius.shape)
     square = np.stack([np.roll(index, (-i, -j), (0, 1)) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], -1)[:-1]
     square = square[kept.ravel()[square].all(-1) & above.ravel()[square].any(-1)] + len(head.vertices)
+    bare = ~_covered(head, style)
     return Head(
         np.concatenate((grown.vertices, vertices.reshape(-1, 3))),
-        np.concatenate((head.triangles, square[:, [0, 1, 2]], square[:, [0, 2, 3]])),
+        np.concatenate((head.triangles[bare], square[:, [0, 1, 2]], square[:, [0, 2, 3]])),
         np.concatenate((head.reference, own.reshape(-1, 3))),
         np.concatenate((head.is_eye, -hangs.ravel())),
         head.landmarks,
     )
+
+
+def _covered(head: Head, style: Hairstyle) -> np.ndarray:
+    """Triangles of scalp and ears ``(T,)`` that nobody sees for hair."""
+    reference = torch.from_numpy(np.asarray(head.reference, np.float32))
+    way = fall(reference)[1]
+    deep = (hair_depth(reference, style) > 0.15) & (reference[:, 1] > -0.8) & (way > 0.2)
+    if style.hem is not None:
+        deep &= reference[:, 1] > style.hem + 0.4
+    return deep.numpy()[head.triangles].all(1)
 
 
 def _hang(radius: np.ndarray, thickness: np.ndarray, depth: np.ndarray, drop: np.ndarray) -> np.ndarray:
