@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,11 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.hair import SHORN, Hairstyle
 from facerelight.bootstrap.heads import HeadSource
 from facerelight.bootstrap.posture import place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
+from facerelight.bootstrap.scalp import Scalp, grow_hair
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import Surface, view_surface
@@ -76,6 +79,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
         self.domain, self.seed, self.effects, self.supersample = domain or Domain(), seed, effects, supersample
         self.pose = pose
         self._renderer: MeshRenderer | None = None
+        self._scalp: Scalp | None = None
 
     def __len__(self) -> int:
         return self.count
@@ -88,13 +92,19 @@ class BootstrapDataset(Dataset[RenderedHead]):
         return self._renderer
 
     def look(self, index: int) -> Look:
-        """Person ``index``'s paint."""
-        return Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
+        """Person ``index``'s paint and hair."""
+        look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
+        return replace(look, style=Hairstyle.random(np.random.default_rng((self.seed, index, 3))))
 
     def surface(self, index: int) -> tuple[Surface, Material]:
         """Person ``index``, painted and seen by the camera, and their material."""
-        look = self.look(index)
-        upright = stand(self.source.head(index), np.random.default_rng((self.seed, index, 2)), self.domain)
+        look, head = self.look(index), self.source.head(index)
+        if head.reference is head.vertices:  # a scan of one's own, with no average head behind it and hair of its own
+            look = replace(look, style=SHORN)
+        else:
+            self._scalp = self._scalp or Scalp.fit(head)
+            head = grow_hair(head, self._scalp, look)
+        upright = stand(head, np.random.default_rng((self.seed, index, 2)), self.domain)
         head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)
         return view_surface(self.renderer, head, look), look.material
 

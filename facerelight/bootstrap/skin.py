@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.hair import BALD, Hairstyle, tint
 
 __all__ = ["Look", "paint"]
 
@@ -36,6 +37,7 @@ class Look:
     grain: float
     seed: int
     material: Material
+    style: Hairstyle = BALD
 
     @classmethod
     def random(cls, rng: np.random.Generator, domain: Domain) -> Look:
@@ -90,11 +92,10 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     beard = beard * (1 - _bump(torch.hypot(side / 0.5, (y + 1.08) / 0.22), 0.6))
     moustache = _bump(y + 0.92, 0.12) * _step(0.5 - side, 0, 0.12) * (1 - lip)
     beard = torch.maximum(beard, moustache)
-    hair = _step(y - look.hairline + 0.25 * (side / 0.9).square(), 0, 0.08) + _step(-0.75 - z + 0.2 * y, 0, 0.1)
-    hair = (hair * (1 + 0.3 * _noise(reference, 30, look.seed + 3))).clamp(0, 1)
     shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.55 * lash) * (1 - look.sockets * sockets)
     shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
-    surface = torch.exp(skin) * shade * (1 - hair) + hair * (1 - look.hair) * 0.5
+    darkness = 1 - (1 - look.hair) * min(1.0, look.tone / 0.6)  # dark skin, dark hair
+    surface = tint(torch.exp(skin) * shade, reference, (-is_eye).clamp_min(0), look.style, darkness)
     # eyes: white sclera, dark iris and pupil, in the direction of gaze
     from_axis = torch.hypot(side - 0.5, y)
     eye = 0.45 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
