@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.eyes import Gaze, lashes, paint_eyes
 
 __all__ = ["Look", "paint"]
 
@@ -79,10 +80,9 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     brow = _bump(y - arc, thickness) * _step(side, 0.14, 0.05) * _step(0.92 - side, 0, 0.08)
     hairs = 1 + 0.15 * _noise(reference, 60, look.seed + 2)
     brow = (look.brows * brow * hairs).clamp(0, 0.95)
-    # lips: wider than tall, the upper one with a notch; lash line: the rim of the eye opening
+    # lips: wider than tall, the upper one with a notch
     upper = _step(-1.07 + 0.13 - 0.05 * (side / 0.2 - 1).square() - y, 0, 0.02)
     lip = _step(1 - ((side / 0.46).square() + ((y + 1.08) / 0.17).square()), 0, 0.15) * upper * _step(z, 0.2, 0.05)
-    lash = _bump(torch.hypot((side - 0.5) / 0.27, (y - 0.02) / 0.12) - 1, 0.22) * _step(y + 0.02, 0, 0.04) * (z > 0)
     # thin skin around the eyes is dark
     sockets = torch.exp(-0.5 * (((side - 0.48) / 0.24).square() + ((y - 0.03) / 0.15).square()).square()) * (z > -0.3)
     beard = _step(-0.62 - y, 0, 0.12) * _step(1.25 - side, 0, 0.1) * _step(z + 0.9, 0, 0.2)
@@ -91,12 +91,10 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     beard = torch.maximum(beard, moustache)
     hair = _step(y - look.hairline + 0.25 * (side / 0.9).square(), 0, 0.08) + _step(-0.75 - z + 0.2 * y, 0, 0.1)
     hair = (hair * (1 + 0.3 * _noise(reference, 30, look.seed + 3))).clamp(0, 1)
-    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.55 * lash) * (1 - look.sockets * sockets)
+    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.85 * lashes(reference)) * (1 - look.sockets * sockets)
     shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
     surface = torch.exp(skin) * shade * (1 - hair) + hair * (1 - look.hair) * 0.5
-    # eyes: white sclera, dark iris and pupil, in the direction of gaze
-    from_axis = torch.hypot(side - 0.5, y)
-    eye = 0.45 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
+    eye = paint_eyes(reference, Gaze.random(np.random.default_rng((look.seed, 4))), look.iris)
     return torch.where(is_eye > 0.5, eye, surface).clamp(0.01, 1.5)
 
 
