@@ -169,7 +169,9 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
     hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
-    hair = hair * torch.where(hangs + (depth > -0.1) > 0, 0.6 + 0.4 * (depth / 0.2).clamp(0, 1), 1)  # roots lie in shade
+    hair = hair * torch.where(
+        hangs + (depth > -0.1) > 0, 0.6 + 0.4 * (depth / 0.2).clamp(0, 1), 1
+    )  # roots lie in shade
     return torch.lerp(albedo, hair, cover)
 
 

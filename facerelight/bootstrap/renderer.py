@@ -164,7 +164,7 @@ class MeshRenderer:
     def __init__(
         self, height: int, width: int, shadow_size: int = 1024, extent: float = 1.0, supersample: int = 1
     ) -> None:
-        self.extent, self.shadow_size = extent, shadow_size
+        self.extent, self.shadow_size, self.supersample = extent, shadow_size, supersample
         device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
         self._context = egl.EGLPlatform(width, height, device=device)
         self._context.init_context()

@@ -9,8 +9,10 @@ import torch
 from scipy.ndimage import gaussian_filter1d, maximum_filter
 from scipy.spatial import cKDTree
 
+from facerelight.bootstrap.features import BROW, brow_arc
 from facerelight.bootstrap.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
 from facerelight.bootstrap.heads import Head
+from facerelight.bootstrap.noise import bump
 
 if TYPE_CHECKING:
     from facerelight.bootstrap.skin import Look
@@ -51,9 +53,7 @@ class Scalp(NamedTuple):
         axis = np.array(CENTRE) - np.concatenate((np.zeros(len(upper)), lower))[:, None] * (0, 1, 0)
         tilt = np.minimum(way, np.pi / 2)[:, None]
         level = np.sin(tilt)
-        outward = np.stack(
-            (level * np.sin(azimuth), np.repeat(np.cos(tilt), COLUMNS, 1), level * np.cos(azimuth)), -1
-        )
+        outward = np.stack((level * np.sin(azimuth), np.repeat(np.cos(tilt), COLUMNS, 1), level * np.cos(azimuth)), -1)
         # the head rolled out: direction from the crown, way from it
         corners, weights = _locate(head, way[:, None, None] * np.stack((np.sin(azimuth), np.cos(azimuth)), -1))
         place = (weights[..., None] * head.reference[corners]).sum(-2)
@@ -172,8 +172,8 @@ def _lift_skin(head: Head, look: Look) -> Head:
         return head
     beard, moustache = beard_cover(reference, style)
     side, y = reference[:, 0].abs(), reference[:, 1]
-    arc = look.brow_height + 0.10 * (side - 0.25).clamp(0, 0.35) - 0.5 * (side - 0.62).clamp_min(0)
-    brow = torch.exp(-0.5 * ((y - arc) / look.brow_width) ** 2) * ((side > 0.12) & (side < 0.92))
+    arc = brow_arc(side, look.brow_height)
+    brow = bump(y - arc, look.brow_width) * ((side > BROW[0]) & (side < BROW[1]))
     lift = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
     lift = (lift * (reference[:, 2] > -1)).numpy() * (head.is_eye < 0.5)
     return head._replace(vertices=head.vertices + lift[:, None] * head.normals())

@@ -1,7 +1,6 @@
 """Skin: procedural albedo painted on the average head.
 
-No photograph is involved. Positions are in the units of :mod:`heads`: eyes at (-0.5, 0) and (0.5, 0), mouth near (0,
--1.07).
+No photograph is involved. Positions are in the units of :mod:`heads`: eyes at (-0.5, 0) and (0.5, 0).
 """
 
 from __future__ import annotations
@@ -13,48 +12,58 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.domain import Domain, Material
+from facerelight.bootstrap.eyes import Gaze, lashes, paint_eyes
+from facerelight.bootstrap.features import brows, lips, rings, stubble
 from facerelight.bootstrap.hair import BALD, Hairstyle, tint
+from facerelight.bootstrap.noise import smooth_noise
 
 __all__ = ["Look", "paint"]
 
 
 @dataclass(frozen=True)
 class Look:
-    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, ``sockets``,
-    ``iris``, ``stubble``, ``hair``."""
+    """One person's paint, all fractions: ``tone`` albedo of the cheek; darkness of ``brows``, ``lips``, the ``line``
+    between them, ``sockets``, ``under`` the eyes, ``iris``, ``stubble`` and ``hair``; strength of ``pigment``,
+    ``blotches`` and ``grain``, standard deviations of log albedo."""
 
     tone: float
     brows: float
     brow_height: float
     brow_width: float
     lips: float
+    line: float
     sockets: float
+    under: float
     iris: float
     stubble: float
     hair: float
-    hairline: float
     pigment: float
+    blotches: float
     grain: float
     seed: int
     material: Material
+    gaze: Gaze
     style: Hairstyle = BALD
 
     @classmethod
     def random(cls, rng: np.random.Generator, domain: Domain) -> Look:
         """Draw a person's paint."""
         tone = float(np.exp(rng.uniform(np.log(domain.tone_low), np.log(domain.tone_high))))
+        dark = min(1.0, tone / 0.6)  # dark skin, dark hair
         return cls(
             tone=tone,
-            brows=float(rng.uniform(0.3, 0.9)),
-            brow_height=float(rng.normal(0.21, 0.035)),
-            brow_width=float(rng.uniform(0.05, 0.09)),
-            lips=float(rng.uniform(0.1, 0.45)),
-            sockets=float(rng.uniform(0.1, 0.5)),
+            brows=float(rng.uniform(0.35, 0.85)),
+            brow_height=float(rng.normal(0.30, 0.035)),
+            brow_width=float(rng.uniform(0.045, 0.075)),
+            lips=float(rng.uniform(0.1, 0.4)),
+            line=float(rng.uniform(0.3, 0.7)),
+            sockets=float(rng.uniform(0.1, 0.4)),
+            under=float(rng.uniform(0.06, 0.34)),
             iris=float(rng.uniform(0.5, 0.95)),
-            stubble=float(max(0.0, rng.normal(0.15, 0.25))),
-            hair=float(rng.uniform(0.2, 0.95)),
-            hairline=float(rng.normal(1.0, 0.12)),
+            stubble=float(max(0.0, rng.normal(0.25, 0.25))),
+            hair=1 - dark * (1 - float(rng.uniform(0.2, 0.95))),
             pigment=float(domain.texture * rng.uniform(0.5, 1.5)),
+            blotches=float(domain.texture * rng.uniform(0.5, 1.5)),
             grain=float(domain.texture * rng.uniform(0.3, 1.2)),
             seed=int(rng.integers(2**31)),
             material=Material(
@@ -64,56 +73,27 @@ class Look:
                 side_light=domain.side_light,
                 top_light=domain.top_light,
             ),
+            gaze=Gaze.random(rng),
         )
 
 
 def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
-    """Albedo in 0..1 at points of the average head: ``reference (P, 3)``, ``is_eye (P,)`` -> ``(P,)``."""
-    x, y, z = reference.unbind(-1)
-    side = x.abs()
+    """Albedo in 0..1 of a person at points of the average head.
+
+    Args:
+        reference: ``(P, 3)``.
+        is_eye: ``(P,)``, 1 on eyeballs, -1 where hair hangs free of the head.
+        look: the person's.
+    """
     skin = (
-        torch.log(torch.tensor(look.tone))
-        + look.pigment * _noise(reference, 6, look.seed)
-        + look.grain * _noise(reference, 40, look.seed + 1)
+        look.pigment * smooth_noise(reference, 6, look.seed)
+        + look.blotches * smooth_noise(reference, 16, look.seed + 3)
+        + look.grain * smooth_noise(reference, 40, look.seed + 1)
     )
-    # a brow is an arc that rises outward and thins at its end
-    arc = look.brow_height + 0.10 * (side - 0.25).clamp(0, 0.35) - 0.5 * (side - 0.62).clamp_min(0)
-    thickness = look.brow_width * (1 - 0.6 * ((side - 0.55) / 0.4).clamp(0, 1))
-    brow = _bump(y - arc, thickness) * _step(side, 0.14, 0.05) * _step(0.92 - side, 0, 0.08)
-    hairs = 1 + 0.15 * _noise(reference, 60, look.seed + 2)
-    brow = (look.brows * brow * hairs).clamp(0, 0.95)
-    # lips: wider than tall, the upper one with a notch; lash line: the rim of the eye opening
-    upper = _step(-1.07 + 0.13 - 0.05 * (side / 0.2 - 1).square() - y, 0, 0.02)
-    lip = _step(1 - ((side / 0.46).square() + ((y + 1.08) / 0.17).square()), 0, 0.15) * upper * _step(z, 0.2, 0.05)
-    lash = _bump(torch.hypot((side - 0.5) / 0.27, (y - 0.02) / 0.12) - 1, 0.22) * _step(y + 0.02, 0, 0.04) * (z > 0)
-    # thin skin around the eyes is dark
-    sockets = torch.exp(-0.5 * (((side - 0.48) / 0.24).square() + ((y - 0.03) / 0.15).square()).square()) * (z > -0.3)
-    beard = _step(-0.62 - y, 0, 0.12) * _step(1.25 - side, 0, 0.1) * _step(z + 0.9, 0, 0.2)
-    beard = beard * (1 - _bump(torch.hypot(side / 0.5, (y + 1.08) / 0.22), 0.6))
-    moustache = _bump(y + 0.92, 0.12) * _step(0.5 - side, 0, 0.12) * (1 - lip)
-    beard = torch.maximum(beard, moustache)
-    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.55 * lash) * (1 - look.sockets * sockets)
-    shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
-    darkness = 1 - (1 - look.hair) * min(1.0, look.tone / 0.6)  # dark skin, dark hair
-    surface = tint(torch.exp(skin) * shade, reference, (-is_eye).clamp_min(0), look.style, darkness)
-    # eyes: white sclera, dark iris and pupil, in the direction of gaze
-    from_axis = torch.hypot(side - 0.5, y)
-    eye = 0.45 * (1 - look.iris * _step(0.105 - from_axis, 0, 0.015)) * (1 - 0.95 * _step(0.045 - from_axis, 0, 0.01))
-    return torch.where(is_eye > 0.5, eye, surface).clamp(0.01, 1.5)
-
-
-def _noise(points: Tensor, cells: int, seed: int) -> Tensor:
-    """Smooth noise of unit variance, about ``cells`` bumps across the head."""
-    generator = torch.Generator().manual_seed(seed % 2**31)
-    lattice = torch.randn(1, 1, cells, cells, cells, generator=generator)
-    grid = (points / 2.2).clamp(-1, 1).view(1, 1, 1, -1, 3)
-    return 1.9 * torch.nn.functional.grid_sample(lattice, grid, align_corners=True)[0, 0, 0, 0]
-
-
-def _bump(x: Tensor, width: Tensor | float) -> Tensor:
-    return torch.exp(-0.5 * (x / width) ** 2)
-
-
-def _step(x: Tensor, edge: float, softness: float) -> Tensor:
-    """0 below the edge, 1 above, over ``softness`` each way."""
-    return torch.sigmoid((x - edge) / (softness / 3))
+    brow = (look.brows * brows(reference, look.brow_height, look.brow_width, look.seed + 2)).clamp(0, 0.95)
+    (mouth, line), (around, under) = lips(reference), rings(reference)
+    shaven = 0.7 * look.stubble * stubble(reference, mouth) * (1 + 0.15 * smooth_noise(reference, 60, look.seed + 2))
+    left = (1 - brow) * (1 - look.lips * mouth) * (1 - look.line * line) * (1 - 0.85 * lashes(reference))
+    left = left * (1 - look.sockets * around) * (1 - look.under * under) * (1 - shaven.clamp(0, 0.9))
+    surface = tint(look.tone * torch.exp(skin) * left, reference, (-is_eye).clamp_min(0), look.style, look.hair)
+    return torch.where(is_eye > 0.5, paint_eyes(reference, look.gaze, look.iris), surface).clamp(0.01, 1.5)

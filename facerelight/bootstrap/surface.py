@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from facerelight.bootstrap.eyes import lid_shade
 from facerelight.bootstrap.heads import Head
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.skin import Look, paint
@@ -64,6 +65,10 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     pixel = inside.flatten().nonzero()[:, 0]
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
+    eye = torch.from_numpy(seen.attribute[..., 3] > 0.5) & inside
+    if eye.any():
+        eye_distance = renderer.supersample * float(np.linalg.norm(head.landmarks[1] - head.landmarks[0]))
+        albedo *= lid_shade(eye, eye_distance).flatten()[pixel]
     return Surface(
         position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
     )

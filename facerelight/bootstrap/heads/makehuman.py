@@ -19,7 +19,8 @@ class MakeHumanHeads:
     Args:
         seed: another seed gives other people; person ``index`` depends on ``(seed, index)`` alone.
         spread: standard deviation of the local shapes; 0.25 looks like people, 0.35 like caricatures.
-        expression: weights in 0..1 of named expression shapes (:attr:`expressions`), the same for everybody.
+        expression: weights in 0..1 of named expression shapes (:attr:`expressions`), the same for everybody, on top of
+            how each person's face rests: lids at ease, a little squint, for some a smile or a frown.
     """
 
     ORIGINS = ("african", "asian", "caucasian")
@@ -40,7 +41,11 @@ class MakeHumanHeads:
     def head(self, index: int) -> Head:
         """Person ``index``."""
         rng = np.random.default_rng((self.seed, index))
-        recipe = {name: weight for name, weight in self._recipe(rng).items() if weight}
+        resting = _resting(np.random.default_rng((self.seed, index, 3)))  # 1 and 2: paint and posture
+        for name, weight in self.expression.items():
+            resting[name] = min(resting.get(name, 0.0) + weight, max(1.0, weight))
+        recipe = self._recipe(rng) | {f"expression/{name}": weight for name, weight in resting.items()}
+        recipe = {name: weight for name, weight in recipe.items() if weight}
         vertices = self._data["vertices"] + np.tensordot(
             np.array(list(recipe.values()), np.float32), np.stack([self._data[name] for name in recipe]), 1
         )
@@ -82,8 +87,20 @@ class MakeHumanHeads:
         shapes = [name for name in self._data if name.startswith("shape/")]
         for name, share in zip(shapes, rng.dirichlet((0.3,) * len(shapes)) * rng.uniform(0, 0.8), strict=True):
             recipe[name] = float(share)
-        recipe |= {f"expression/{name}": weight for name, weight in self.expression.items()}
         return recipe
+
+
+def _resting(rng: np.random.Generator) -> dict[str, float]:
+    """Random weights of the expression shapes of a face that nobody asked for anything, both sides alike."""
+    smile, frown = max(0.0, rng.normal(0, 0.25)), max(0.0, rng.normal(0, 0.15))
+    weights = {
+        "eyeBlink": rng.uniform(0.05, 0.35),
+        "eyeSquint": rng.uniform(0, 0.3),
+        "mouthSmile": smile,
+        "cheekSquint": smile / 2,
+        "browDown": frown,
+    }
+    return {f"{name}{side}": float(weight) for name, weight in weights.items() for side in ("Left", "Right")}
 
 
 def _tent(x: float) -> tuple[float, float, float]:
