@@ -20,7 +20,7 @@ CENTRE = (0.0, 0.45, -0.95)  # hair is laid out around the vertical through this
 GIRTH = 1.2  # the scalp's radius about it
 KINDS = {"bald": 0.08, "cropped": 0.14, "short": 0.25, "receding": 0.08, "fringe": 0.2, "long": 0.25}
 # azimuth in degrees, 0 in front: where the temple, sideburn, ear and nape are, and the hairline's height there
-SIDES = ((54, 0.72), (62, 0.42), (68, 0.05), (73, -0.3), (81, -0.3), (85, 0.25), (100, 0.4), (114, 0.25), (121, -0.4))
+SIDES = ((54, 0.72), (62, 0.42), (68, 0.05), (73, -0.3), (81, -0.3), (86, 0.14), (100, 0.3), (115, 0.12), (121, -0.5))
 NAPE = ((130, -1.0), (180, -1.2))
 TOP, BOTTOM = 2.2, -4.0  # heights between which the field is laid out
 HANGS = 1.0  # how far below a curtain's edge its line goes on
@@ -54,7 +54,8 @@ class Hairstyle:
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
         high, recess, fringe = rng.normal(1.05, 0.09), rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
         front: tuple[tuple[float, float], ...] = ((0, high), (26, high + 0.02), (40, high - 0.1 + recess))
-        sides, hem = SIDES, None
+        sides: tuple[tuple[float, float], ...] = SIDES
+        hem = None
         volume, rise, ragged = rng.uniform(0.1, 0.22), rng.uniform(0.25, 0.45), 0.03
         if kind == "cropped":
             volume = rng.uniform(0.025, 0.06)
@@ -169,7 +170,8 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
     hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
-    hair = hair * torch.where(hangs + (depth > -0.1) > 0, 0.6 + 0.4 * (depth / 0.2).clamp(0, 1), 1)  # roots lie in shade
+    roots = torch.maximum((depth > -0.1).float(), hangs)  # lie in the shade of the hair above
+    hair = hair * (1 - 0.4 * roots * (1 - depth / 0.2).clamp(0, 1))
     return torch.lerp(albedo, hair, cover)
 
 
