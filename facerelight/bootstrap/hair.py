@@ -32,7 +32,8 @@ class Hairstyle:
 
     ``line``: the hairline, (azimuth in degrees from the front, height) from front to back; ``volume`` at most, 0
     without hair; ``rise``, how far behind the line that is reached; ``ragged``, how far the line wanders; ``locks``,
-    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``hem``, the height down to
+    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``overhang``, how
+    far it slides down over its line, in its thickness; ``hem``, the height down to
     which it hangs, if it does; ``beard``, ``moustache``, ``brows``: their volumes.
     """
 
@@ -42,6 +43,7 @@ class Hairstyle:
     ragged: float = 0.03
     locks: float = 0.3
     swirl: float = 0.0
+    overhang: float = 0.0
     hem: float | None = None
     beard: float = 0.0
     moustache: float = 0.0
@@ -56,7 +58,7 @@ class Hairstyle:
         front: tuple[tuple[float, float], ...] = ((0, high), (26, high + 0.02), (40, high - 0.1 + recess))
         sides: tuple[tuple[float, float], ...] = SIDES
         hem = None
-        volume, rise, ragged = rng.uniform(0.1, 0.22), rng.uniform(0.25, 0.45), 0.03
+        volume, rise, ragged, overhang = rng.uniform(0.1, 0.22), rng.uniform(0.25, 0.45), 0.03, 0.0
         if kind == "cropped":
             volume = rng.uniform(0.025, 0.06)
         if kind == "receding":
@@ -69,7 +71,8 @@ class Hairstyle:
         if kind == "fringe" or (kind == "long" and rng.random() < 0.35):
             front = ((0, fringe), (22, fringe - 0.02), (44, fringe - 0.06))
             sides = ((56, min(0.42, fringe - 0.1)), *sides[1 if kind == "long" else 2 :])
-            volume, rise, ragged = rng.uniform(0.1, 0.2), 0.1, 0.07
+            volume, rise, ragged = rng.uniform(0.08, 0.16), 0.1, 0.07
+            overhang = 0.7
         elif kind in ("short", "receding"):
             ragged = 0.045
         hairy = rng.random() < (0.03 if kind == "long" else 0.26)
@@ -82,6 +85,7 @@ class Hairstyle:
             ragged,
             float(rng.uniform(0.25, 0.5)),
             float(rng.normal(0, 0.35)),
+            overhang,
             hem,
             beard,
             moustache,
@@ -171,7 +175,7 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
     hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
     roots = torch.maximum((depth > -0.1).float(), hangs)  # lie in the shade of the hair above
-    hair = hair * (1 - 0.4 * roots * (1 - depth / 0.2).clamp(0, 1))
+    hair = hair * (1 - (0.25 + 0.15 * hangs) * roots * (1 - depth / 0.2).clamp(0, 1))
     return torch.lerp(albedo, hair, cover)
 
 

@@ -141,6 +141,9 @@ def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
         height = np.maximum(height, style.hem + 0.08 * ends)
     axis = np.stack(np.broadcast_arrays(CENTRE[0], height, CENTRE[2]), -1)
     vertices = axis + base + (outer - radius)[..., None] * scalp.outward
+    vertices[..., 1] -= (
+        style.overhang * thickness * np.exp(-((depth / 0.25) ** 2)) * (reference[..., 1] / 0.3).clip(0, 1)
+    )
     kept, above = _around((depth > 0) | (outer > radius), 3), height == scalp.axis[:, 1:2]
     index = np.arange(radius.size).reshape(radius.shape)
     square = np.stack([np.roll(index, (-i, -j), (0, 1)) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], -1)[:-1]

@@ -24,7 +24,15 @@ FRAME = CropFrame(96, 84, 0.25)
 LOOK = Look.random(np.random.default_rng(0), Domain())
 NAPE = ((130.0, -1.0), (180.0, -1.2))
 FRINGE = Hairstyle(
-    ((0, 0.5), (44, 0.45), *SIDES[2:], *NAPE), 0.18, 0.1, ragged=0.07, beard=0.08, moustache=0.04, brows=0.03, seed=4
+    ((0, 0.5), (44, 0.45), *SIDES[2:], *NAPE),
+    0.18,
+    0.1,
+    ragged=0.05,
+    overhang=0.8,
+    beard=0.08,
+    moustache=0.04,
+    brows=0.03,
+    seed=4,
 )
 LONG = Hairstyle(((0, 1.0), (40, 1.0), (58, 0.7), (64, 0.3), (66, -0.3), (65, -3.0)), 0.2, hem=-2.0, seed=5)
 SOURCES = {"ict": IctHeads(None, 0), "makehuman": MakeHumanHeads(0)}
@@ -123,23 +131,21 @@ def test_auto_equals_all_under_hair(name: str, style: Hairstyle, scalps: dict[st
 
 
 def test_a_fringe_casts_a_shadow_on_the_forehead(scalps: dict[str, Scalp]) -> None:
-    """Under a light from above the skin below the fringe is dark, where on the bald head it is lit."""
-    light, matte = light_from_angles(0.0, 55.0), Material(0.0, 0.3, 0.0)
-    lit = []
-    for style in (FRINGE, BALD):
+    """Under a light from above, skin that is seen below the fringe lies in shadow, and is lit on the bald head."""
+    light, matte = light_from_angles(0.0, 60.0), Material(0.0, 0.3, 0.0)
+    light_seen, height = np.zeros((2, FRAME.height * FRAME.width)), np.full((2, FRAME.height * FRAME.width), np.nan)
+    for k, style in enumerate((replace(FRINGE, brows=0.0), BALD)):
         look = replace(LOOK, style=style)
         head = grow_hair(SOURCES["ict"].head(0), scalps["ict"], look)
         with open_renderer(FRAME) as renderer:
             surface = view_surface(renderer, place_in_frame(head, FRAME, head.landmarks), look)
-            plan = plan_effects(surface, light, matte)
-            image = shade(surface, light, matte, plan, renderer).flatten()[surface.pixel]
-        facing = (surface.normal @ light).clamp_min(0.05)
-        eyes = (FRAME.landmarks[:2].mean(0) - torch.tensor(((FRAME.width - 1) / 2, (FRAME.height - 1) / 2)))[1]
-        unit = float(FRAME.landmarks[1, 0] - FRAME.landmarks[0, 0])
-        x, y = surface.position[:, 0] / unit, (surface.position[:, 1] + eyes) / unit
-        forehead = (x.abs() < 0.4) & (y > 0.3) & (y < 0.5)
-        lit.append((image / (surface.albedo * facing))[forehead].mean())
-    assert lit[0] < 0.6 * lit[1]
+            image = shade(surface, light, matte, plan_effects(surface, light, matte), renderer).flatten()
+        facing = (surface.albedo * (surface.normal @ light)).clamp_min(1e-3)
+        light_seen[k, surface.pixel], height[k, surface.pixel] = image[surface.pixel] / facing, surface.position[:, 2]
+    above = np.arange(FRAME.height * FRAME.width) // FRAME.width < float(FRAME.landmarks[0, 1]) - 8
+    skin = above & (np.abs(height[0] - height[1]) < 1e-3) & (light_seen[1] > 0.9)
+    assert skin.sum() > 200
+    assert (light_seen[0][skin] < 0.5).sum() > 60  # a strip of about 40 x 3 pixels
 
 
 def test_heads_of_the_users_own_keep_their_shape(tmp_path) -> None:
