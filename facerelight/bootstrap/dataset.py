@@ -102,7 +102,8 @@ class BootstrapDataset(Dataset[RenderedHead]):
         if head.reference is head.vertices:  # a scan of one's own, with no average head behind it and hair of its own
             look = replace(look, style=SHORN)
         else:
-            self._scalp = self._scalp or Scalp.fit(head)
+            if self._scalp is None:
+                self._scalp = Scalp.fit(head)
             head = grow_hair(head, self._scalp, look)
         upright = stand(head, np.random.default_rng((self.seed, index, 2)), self.domain)
         head = place_in_frame(rotate(upright, *self.pose), self.frame, upright.landmarks)

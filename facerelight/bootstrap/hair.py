@@ -20,7 +20,7 @@ CENTRE = (0.0, 0.45, -0.95)  # hair is laid out around the vertical through this
 GIRTH = 1.2  # the scalp's radius about it
 KINDS = {"bald": 0.08, "cropped": 0.14, "short": 0.25, "receding": 0.08, "fringe": 0.2, "long": 0.25}
 # azimuth in degrees, 0 in front: where the temple, sideburn, ear and nape are, and the hairline's height there
-SIDES = ((54, 0.72), (62, 0.42), (68, 0.05), (73, -0.3), (81, -0.3), (85, 0.25), (100, 0.4), (114, 0.25), (121, -0.4))
+SIDES = ((54, 0.72), (62, 0.42), (68, 0.05), (73, -0.3), (81, -0.3), (86, 0.14), (100, 0.3), (115, 0.12), (121, -0.5))
 NAPE = ((130, -1.0), (180, -1.2))
 TOP, BOTTOM = 2.2, -4.0  # heights between which the field is laid out
 HANGS = 1.0  # how far below a curtain's edge its line goes on
@@ -32,7 +32,8 @@ class Hairstyle:
 
     ``line``: the hairline, (azimuth in degrees from the front, height) from front to back; ``volume`` at most, 0
     without hair; ``rise``, how far behind the line that is reached; ``ragged``, how far the line wanders; ``locks``,
-    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``hem``, the height down to
+    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``overhang``, how
+    far it slides down over its line, in its thickness; ``hem``, the height down to
     which it hangs, if it does; ``beard``, ``moustache``, ``brows``: their volumes.
     """
 
@@ -42,6 +43,7 @@ class Hairstyle:
     ragged: float = 0.03
     locks: float = 0.3
     swirl: float = 0.0
+    overhang: float = 0.0
     hem: float | None = None
     beard: float = 0.0
     moustache: float = 0.0
@@ -54,8 +56,9 @@ class Hairstyle:
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
         high, recess, fringe = rng.normal(1.05, 0.09), rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
         front: tuple[tuple[float, float], ...] = ((0, high), (26, high + 0.02), (40, high - 0.1 + recess))
-        sides, hem = SIDES, None
-        volume, rise, ragged = rng.uniform(0.1, 0.22), rng.uniform(0.25, 0.45), 0.03
+        sides: tuple[tuple[float, float], ...] = SIDES
+        hem = None
+        volume, rise, ragged, overhang = rng.uniform(0.1, 0.22), rng.uniform(0.25, 0.45), 0.03, 0.0
         if kind == "cropped":
             volume = rng.uniform(0.025, 0.06)
         if kind == "receding":
@@ -68,12 +71,13 @@ class Hairstyle:
         if kind == "fringe" or (kind == "long" and rng.random() < 0.35):
             front = ((0, fringe), (22, fringe - 0.02), (44, fringe - 0.06))
             sides = ((56, min(0.42, fringe - 0.1)), *sides[1 if kind == "long" else 2 :])
-            volume, rise, ragged = rng.uniform(0.1, 0.2), 0.1, 0.07
+            volume, rise, ragged = rng.uniform(0.08, 0.16), 0.1, 0.07
+            overhang = 0.7
         elif kind in ("short", "receding"):
             ragged = 0.045
-        hairy = rng.random() < (0.03 if kind == "long" else 0.26)
+        hairy = rng.random() < (0.02 if kind == "long" else 0.14)
         beard = float(rng.uniform(0.03, 0.1)) if hairy else 0.0
-        moustache = float(rng.uniform(0.02, 0.05)) if hairy or rng.random() < 0.1 else 0.0
+        moustache = float(rng.uniform(0.02, 0.05)) if hairy or rng.random() < 0.04 else 0.0
         return cls(
             () if kind == "bald" else tuple((float(a), float(b)) for a, b in (*front, *sides, *(() if hem else NAPE))),
             0.0 if kind == "bald" else float(volume),
@@ -81,6 +85,7 @@ class Hairstyle:
             ragged,
             float(rng.uniform(0.25, 0.5)),
             float(rng.normal(0, 0.35)),
+            overhang,
             hem,
             beard,
             moustache,
@@ -169,9 +174,8 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
     hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
-    hair = hair * torch.where(
-        hangs + (depth > -0.1) > 0, 0.6 + 0.4 * (depth / 0.2).clamp(0, 1), 1
-    )  # roots lie in shade
+    roots = torch.maximum((depth > -0.1).float(), hangs)  # lie in the shade of the hair above
+    hair = hair * (1 - (0.25 + 0.15 * hangs) * roots * (1 - depth / 0.2).clamp(0, 1))
     return torch.lerp(albedo, hair, cover)
 
 

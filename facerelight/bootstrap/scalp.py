@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter1d, maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from facerelight.bootstrap.features import BROW, brow_arc
 from facerelight.bootstrap.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
@@ -23,28 +24,34 @@ COLUMNS = 80  # around the head, closer in front
 STEP = 0.085  # between rows
 LOWEST = -3.3  # height of the last row
 SUNK = 0.3  # where no hair is, the surface lies up to that far under the skin
-ROOTS = 0.03  # so far behind the hairline hair begins to rise
-HANG = 0.12  # hair that hangs comes in by so much a unit
+ROOTS = 0.05  # so far behind the hairline hair begins to rise
+INWARD = 0.12  # hair that hangs comes in by so much a unit
+TEMPLES = 0.6  # height below which hair can hang free
 ROUND = 0.22  # the free edge of hanging hair is rounded over that width
 
 
 class Scalp(NamedTuple):
-    """Where the nodes of the hair's surface, in rows from the crown down and columns round the head ``(R, C)``, lie on
-    the average head.
+    """The hair's nodes on the average head, in rows from the crown down and columns round the head.
 
-    ``corners (R, C, 3)``, a node's triangle, and ``weights (R, C, 3)`` in it, 0 where no head is; ``axis (R, 3)`` and
-    ``outward (R, C, 3)``: where hair is counted from and which way; ``radius (R, C)`` on the average head.
+    ``corners (R, C, 3)``: the triangle that a node lies in, and ``weights (R, C, 3)`` of its corners; ``axis (R, 3)``
+    and ``outward (R, C, 3)``: where a row is counted from and which way; ``anchor (R, C, 3)``: the same for the place
+    in the triangle, which below an open neck is that of the last row; ``radius (R, C)`` on the average head.
     """
 
     corners: np.ndarray
     weights: np.ndarray
     axis: np.ndarray
     outward: np.ndarray
+    anchor: np.ndarray
     radius: np.ndarray
 
     @classmethod
     def fit(cls, head: Head) -> Scalp:
-        """Find the nodes on the average head of ``head``; the same for all heads of a source."""
+        """Find the nodes on the average head of ``head``; they are the same for all heads of a source.
+
+        Raises:
+            ValueError: the head has no skin where hair grows.
+        """
         turn = np.linspace(-1, 1, COLUMNS, endpoint=False)
         azimuth = np.pi * (0.72 * turn + 0.28 * turn**3)
         upper = np.linspace(0.02, np.pi / 2, 19)
@@ -54,34 +61,41 @@ class Scalp(NamedTuple):
         tilt = np.minimum(way, np.pi / 2)[:, None]
         level = np.sin(tilt)
         outward = np.stack((level * np.sin(azimuth), np.repeat(np.cos(tilt), COLUMNS, 1), level * np.cos(azimuth)), -1)
-        # the head rolled out: direction from the crown, way from it
+        # the head rolled out flat: the direction from the crown, and the way
         corners, weights = _locate(head, way[:, None, None] * np.stack((np.sin(azimuth), np.cos(azimuth)), -1))
-        place = (weights[..., None] * head.reference[corners]).sum(-2)
-        radius = ((place - axis[:, None]) * outward).sum(-1) * (weights.sum(-1) > 0)
-        return cls(corners, weights, axis, outward, radius)
+        on_head = weights.sum(-1) > 0
+        if not on_head[0].all():
+            raise ValueError("head: expected skin at the crown, above and behind the eyes, got a mesh without")
+        anchor = np.repeat(axis[:, None], COLUMNS, 1)
+        for row in range(1, len(way)):
+            for values in (corners, weights, anchor):
+                values[row] = np.where(on_head[row, :, None], values[row], values[row - 1])
+        radius = (((weights[..., None] * head.reference[corners]).sum(-2) - anchor) * outward).sum(-1)
+        return cls(corners, weights, axis, outward, anchor, radius)
 
 
 def _locate(head: Head, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The outermost triangles of the average head at ``nodes (R, C, 2)`` of its map, and weights of their corners."""
+    """The outermost triangles of the average head at ``nodes (R, C, 2)`` of its map, and weights of their corners,
+    ``(R, C, 3)`` each."""
     skin = head.triangles[(head.is_eye[head.triangles] < 0.5).all(1)]
-    azimuth, way = (a.numpy() for a in fall(torch.from_numpy(head.reference).float()))
+    azimuth, way = (a.numpy() for a in fall(_points(head.reference)))
     corner = (way[:, None] * np.stack((np.sin(azimuth), np.cos(azimuth)), 1))[skin]  # (T, 3, 2)
-    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-    area = _cross(b - a, c - a)
     middle = corner.mean(1)
     reach = np.linalg.norm(corner - middle[:, None], axis=2).max(1)
     flat = nodes.reshape(-1, 2)
     near = cKDTree(flat).query_ball_point(middle, reach)
     node = np.fromiter((n for found in near for n in found), int)
     which = np.repeat(np.arange(len(skin)), [len(found) for found in near])
-    p, t = flat[node], which
-    v, w = _cross(p - a[t], c[t] - a[t]) / area[t], _cross(b[t] - a[t], p - a[t]) / area[t]
+    along, across = corner[which, 1] - corner[which, 0], corner[which, 2] - corner[which, 0]
+    place = flat[node] - corner[which, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):  # triangles seen edge on hold no node
+        v, w = _cross(place, across) / _cross(along, across), _cross(along, place) / _cross(along, across)
     weight = np.stack((1 - v - w, v, w), 1)
-    height = np.linalg.norm((head.reference[skin[t]].mean(1) - CENTRE) * (1, 0.01, 1), axis=1)
     inside = np.flatnonzero((weight > -1e-6).all(1))
-    inside = inside[np.argsort(height[inside])]  # the outermost comes last and stays
+    height = np.linalg.norm((head.reference[skin[which[inside]]].mean(1) - CENTRE) * (1, 0.01, 1), axis=1)
+    inside = inside[np.argsort(height, kind="stable")]  # the outermost comes last and stays
     corners, weights = np.zeros((len(flat), 3), int), np.zeros((len(flat), 3))
-    corners[node[inside]], weights[node[inside]] = skin[t[inside]], weight[inside]
+    corners[node[inside]], weights[node[inside]] = skin[which[inside]], weight[inside]
     return corners.reshape(*nodes.shape[:2], 3), weights.reshape(*nodes.shape[:2], 3)
 
 
@@ -89,91 +103,93 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
-    """A head with its hair, beard and brows in volume; bald and shaven it stays as it is.
+def _points(reference: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.asarray(reference, np.float32).reshape(-1, 3))
 
-    The hair's vertices come after the head's own; their ``is_eye`` is 0, and -1 where hair hangs free of the head.
+
+def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
+    """A head with its hair, beard and brows in volume; who is bald and shaven stays as he is.
+
+    The hair's vertices come after the head's own, with an ``is_eye`` of 0, or of -1 where hair hangs free of the head;
+    what nobody sees of scalp and ears is left out of the triangles.
     """
-    grown = _lift_skin(head, look)
-    style = look.style
+    head, style = _lift_skin(head, look), look.style
     if not style.line:
-        return grown
-    on_head = scalp.weights.sum(-1) > 0
-    base = (scalp.weights[..., None] * grown.vertices[scalp.corners]).sum(-2) - scalp.axis[:, None]
-    average = scalp.radius.copy()
-    for row in range(1, len(base)):  # below an open neck
-        base[row], average[row] = (
-            np.where(on_head[row, :, None], base[row], base[row - 1]),
-            np.where(on_head[row], average[row], average[row - 1]),
-        )
+        return head
+    base = (scalp.weights[..., None] * head.vertices[scalp.corners]).sum(-2) - scalp.anchor
     radius = (base * scalp.outward).sum(-1)
-    aside = base - radius[..., None] * scalp.outward
-    own = scalp.axis[:, None] + average[..., None] * scalp.outward
-    flat = torch.from_numpy(own.reshape(-1, 3)).float()
-    depth = hair_depth(flat, style).numpy().reshape(radius.shape)
-    locks = strands(flat, 36, 5, style, 5).numpy().reshape(radius.shape)
+    reference = scalp.axis[:, None] + scalp.radius[..., None] * scalp.outward
+    depth, locks, ends = (
+        values.numpy().reshape(radius.shape)
+        for values in (
+            hair_depth(_points(reference), style),
+            strands(_points(reference), 36, 5, style, 5),
+            strands(_points(reference), 12, 5, style, 6),
+        )
+    )
     full = ((depth - ROOTS) / style.rise).clip(0, 1)
     thickness = style.volume * full * (2 - full) * (1 + style.locks * locks).clip(0.2)
-    hangs, height = np.zeros(radius.shape, np.float32), np.repeat(scalp.axis[:, 1:2], radius.shape[1], 1)
-    # outside it dips as steeply as it rises: it meets the skin where it is painted
+    # outside it dips as steeply as it rises: it meets the skin where the paint says that hair begins
     dip = (2 * style.volume / style.rise * (depth - ROOTS)).clip(-SUNK, 0)
-    outer = radius + thickness + dip
+    height, free = np.repeat(scalp.axis[:, 1:2], radius.shape[1], 1), np.zeros(radius.shape)
     if style.hem is None:
-        outer -= 0.5 * thickness * (1 - ((own[..., 1] - 0.5) / 0.7).clip(0, 1))  # the sides are shorter
+        sides = 1 - 0.5 * (1 - ((reference[..., 1] - 0.5) / 0.7).clip(0, 1))  # cut shorter
+        outer = radius + sides * thickness + dip
     else:
         hanging = _hang(radius, thickness, depth, -np.diff(scalp.axis[:, 1], prepend=scalp.axis[0, 1]))
-        lifted = (hanging > np.maximum(outer, radius)) & (own[..., 1] < 0.6)
-        hangs = maximum_filter(lifted, (3, 3), mode=("nearest", "wrap")).astype(np.float32)
-        own = own + (hangs * (hanging - outer).clip(0))[..., None] * scalp.outward
-        outer = np.maximum(outer, hanging)
-        height = np.maximum(height, style.hem + 0.08 * strands(flat, 12, 5, style, 6).numpy().reshape(radius.shape))
+        outer = np.maximum(hanging, radius + thickness + dip)
+        free = _around((outer > radius) & (reference[..., 1] < TEMPLES), 3).astype(float)
+        reference = reference + (free * (outer - radius - thickness - dip))[..., None] * scalp.outward
+        height = np.maximum(height, style.hem + 0.08 * ends)
     axis = np.stack(np.broadcast_arrays(CENTRE[0], height, CENTRE[2]), -1)
-    vertices = axis + aside + outer[..., None] * scalp.outward
-    kept = maximum_filter((depth > 0) | (outer > radius), (3, 3), mode=("nearest", "wrap"))
-    above = height == scalp.axis[:, 1:2]  # the end
+    vertices = axis + base + (outer - radius)[..., None] * scalp.outward
+    vertices[..., 1] -= (
+        style.overhang * thickness * np.exp(-((depth / 0.25) ** 2)) * (reference[..., 1] / 0.3).clip(0, 1)
+    )
+    kept, above = _around((depth > 0) | (outer > radius), 3), height == scalp.axis[:, 1:2]
     index = np.arange(radius.size).reshape(radius.shape)
     square = np.stack([np.roll(index, (-i, -j), (0, 1)) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], -1)[:-1]
     square = square[kept.ravel()[square].all(-1) & above.ravel()[square].any(-1)] + len(head.vertices)
-    bare = ~_covered(head, style)
     return Head(
-        np.concatenate((grown.vertices, vertices.reshape(-1, 3))),
-        np.concatenate((head.triangles[bare], square[:, [0, 1, 2]], square[:, [0, 2, 3]])),
-        np.concatenate((head.reference, own.reshape(-1, 3))),
-        np.concatenate((head.is_eye, -hangs.ravel())),
+        np.concatenate((head.vertices, vertices.reshape(-1, 3))),
+        np.concatenate((head.triangles[~_covered(head, style)], square[:, [0, 1, 2]], square[:, [0, 2, 3]])),
+        np.concatenate((head.reference, reference.reshape(-1, 3))),
+        np.concatenate((head.is_eye, -free.ravel().astype(np.float32))),
         head.landmarks,
     )
 
 
-def _covered(head: Head, style: Hairstyle) -> np.ndarray:
-    """Triangles of scalp and ears ``(T,)`` that nobody sees for hair."""
-    reference = torch.from_numpy(np.asarray(head.reference, np.float32))
-    way = fall(reference)[1]
-    deep = (hair_depth(reference, style) > 0.15) & (reference[:, 1] > -0.8) & (way > 0.2)
-    if style.hem is not None:
-        deep &= reference[:, 1] > style.hem + 0.4
-    return deep.numpy()[head.triangles].all(1)
-
-
 def _hang(radius: np.ndarray, thickness: np.ndarray, depth: np.ndarray, drop: np.ndarray) -> np.ndarray:
     """How far out hair is that hangs over the ears and beside the neck; at its front edge it turns in to the skin."""
-    over = maximum_filter(np.where(depth > 0, radius, 0.0), (5, 5), mode=("nearest", "wrap"))
-    over = gaussian_filter1d(gaussian_filter1d(over, 1.2, axis=0, mode="nearest"), 1.2, axis=1, mode="wrap")
+    over = gaussian_filter(_around(np.where(depth > 0, radius, 0.0), 5), 1.2, mode=("nearest", "wrap"))
     hanging = np.where(depth > 0.1, over, radius) + thickness
     for row in range(1, len(drop)):
-        hanging[row] = np.maximum(hanging[row], hanging[row - 1] - HANG * drop[row])
+        hanging[row] = np.maximum(hanging[row], hanging[row - 1] - INWARD * drop[row])
     edge = 1 - (depth / ROUND).clip(0, 1)
-    return hanging - 0.25 * edge**2 - 4 * (0.05 - depth).clip(0)
+    return hanging - 0.25 * edge**2 - 4 * (ROOTS - depth).clip(0)
+
+
+def _around(values: np.ndarray, nodes: int) -> np.ndarray:
+    return maximum_filter(values, (nodes, nodes), mode=("nearest", "wrap"))
+
+
+def _covered(head: Head, style: Hairstyle) -> np.ndarray:
+    """Triangles of scalp and ears ``(T,)`` that lie deep under hair."""
+    reference = _points(head.reference)
+    lowest = -0.8 if style.hem is None else max(-0.8, style.hem + 0.4)
+    deep = (hair_depth(reference, style) > 0.15) & (reference[:, 1] > lowest) & (fall(reference)[1] > 0.2)
+    return deep.numpy()[head.triangles].all(1)
 
 
 def _lift_skin(head: Head, look: Look) -> Head:
     """Raise the skin under beard, moustache and brows, along its normals."""
-    style, reference = look.style, torch.from_numpy(np.asarray(head.reference, np.float32))
+    style, reference = look.style, _points(head.reference)
     if not (style.beard or style.moustache or style.brows):
         return head
     beard, moustache = beard_cover(reference, style)
     side, y = reference[:, 0].abs(), reference[:, 1]
-    arc = brow_arc(side, look.brow_height)
-    brow = bump(y - arc, look.brow_width) * ((side > BROW[0]) & (side < BROW[1]))
-    lift = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
-    lift = (lift * (reference[:, 2] > -1)).numpy() * (head.is_eye < 0.5)
-    return head._replace(vertices=head.vertices + lift[:, None] * head.normals())
+    brow = bump(y - brow_arc(side, look.brow_height), look.brow_width) * ((side > BROW[0]) & (side < BROW[1]))
+    most = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
+    lift = most.numpy() * (head.reference[:, 2] > -1) * (head.is_eye < 0.5)
+    lifted = head.triangles[(lift[head.triangles] > 1e-3).any(1)]
+    return head._replace(vertices=head.vertices + lift[:, None] * head._replace(triangles=lifted).normals())

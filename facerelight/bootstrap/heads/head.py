@@ -22,8 +22,8 @@ class Head(NamedTuple):
     """A head mesh.
 
     ``vertices (V, 3)``; ``triangles (T, 3)``; ``reference (V, 3)``, where each vertex lies on the average head (paint
-    follows it); ``is_eye (V,)`` 1 on eyeballs; ``landmarks (3, 3)``: eye centre at image-left, at image-right, mouth
-    centre.
+    follows it); ``is_eye (V,)`` 1 on eyeballs, -1 where hair hangs free of the head; ``landmarks (3, 3)``: eye centre
+    at image-left, at image-right, mouth centre.
     """
 
     vertices: np.ndarray
