@@ -17,6 +17,7 @@ BROW, CHEEK = 0.27, -0.26  # where the lids' movement ends
 MARKED = 1.2  # the opening's height in its middle, by that at the landmarks, a third of its width from the corners
 TOUCH = 0.002  # lips whose edges are no farther apart meet
 SOCKET = 0.03  # skin that deep inside an eyeball lines its socket
+NEAREST = 6  # vertices of an eyeball that say how far it reaches somewhere
 CLEARANCE = 0.004  # between an eyeball and the skin that slides over it
 
 
@@ -55,7 +56,7 @@ def at_rest(head: Head, marks: np.ndarray, rng: np.random.Generator) -> Head:
 
 def move_lids(head: Head, marks: np.ndarray, upper: np.ndarray, lower: np.ndarray) -> Head:
     """Bring the lids over the eyes: the skin between brow and cheek slides over the eyeball, as far above it as it was
-    and never inside. Landmarks stay.
+    and never inside. Landmarks stay, and where no eyeball is, everything.
 
     Args:
         head: with open eyes.
@@ -68,9 +69,9 @@ def move_lids(head: Head, marks: np.ndarray, upper: np.ndarray, lower: np.ndarra
         opening = MARKED * (mark[1:3].mean() - mark[4:6].mean())
         share = _closing(head.reference * (side, 1, 1), down, up) * (head.is_eye < 0.5)
         moved = np.flatnonzero(np.abs(share * opening) > 1e-5)
-        if len(moved) == 0:
-            continue
         ball = head.vertices[(head.is_eye > 0.5) & (side * head.reference[:, 0] > 0)]
+        if len(moved) == 0 or len(ball) < NEAREST:
+            continue
         centre, radius = _sphere(ball)
         ball = ball - centre
         before = head.vertices[moved] - centre
@@ -163,7 +164,7 @@ def _sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
 def _ground(ball: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How far the eyeball reaches towards points ``(N, 3)``; both as seen from its centre."""
     reach = np.linalg.norm(ball, axis=1)
-    distance, near = cKDTree(ball / reach[:, None]).query(points / np.linalg.norm(points, axis=1)[:, None], 6)
+    distance, near = cKDTree(ball / reach[:, None]).query(points / np.linalg.norm(points, axis=1)[:, None], NEAREST)
     weight = np.exp(-0.5 * (distance / (distance[:, :3].mean(1, keepdims=True) + 1e-9)) ** 2)
     return (weight * reach[near]).sum(1) / weight.sum(1)
 
