@@ -7,7 +7,7 @@ To add one, write a class here and list it in :data:`EFFECTS`; its strength is a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -22,6 +22,7 @@ __all__ = ["EFFECTS", "AmbientFill", "AttachedShadow", "CastShadow", "Effect", "
 
 REFLECTANCE = 0.028  # of skin at normal incidence; sets how it grows towards grazing
 LEAST_VIEW = 0.05  # cosine to the viewer: pixels at the outline hold no thinner slivers
+WET, SMOOTH = 0.02, 0.09  # reflectance and roughness of eyeballs, whose light is a glint and not a sheen
 SMALL = 1e-6  # radiance that cannot matter
 
 
@@ -115,11 +116,16 @@ class SpecularHighlight(Effect):
         lit = scene.facing > 0
         if scene.material.specular <= 0:
             return torch.zeros_like(lit)
-        return lit & (scene.surface.normal @ half_way(scene.light) > highlight_reach(scene.material))
+        reach = min(map(highlight_reach, (scene.material, of_eyes(scene.material))))
+        return lit & (scene.surface.normal @ half_way(scene.light) > reach)
 
     def emit(self, scene: Scene, pixels: Tensor | slice, light: LampLight) -> Tensor:
         """Torrance and Sparrow's highlight of the part of the lamp that is seen."""
-        return light.seen[pixels] * scene.lamp * highlight(scene.surface.normal[pixels], scene.light, scene.material)
+        normal, wet = scene.surface.normal[pixels], scene.surface.wet[pixels]
+        reflected = highlight(normal, scene.light, scene.material)
+        if scene.material.specular > 0:
+            reflected[wet] = highlight(normal[wet], scene.light, of_eyes(scene.material))
+        return light.seen[pixels] * scene.lamp * reflected
 
 
 class AmbientFill(Effect):
@@ -141,6 +147,11 @@ EFFECTS: dict[str, Effect] = {
     effect.name: effect for effect in (AttachedShadow(), CastShadow(), SpecularHighlight(), AmbientFill())
 }
 """All effects by name, in the order in which they apply."""
+
+
+def of_eyes(material: Material) -> Material:
+    """A person's eyeballs: wet, and smoother than skin."""
+    return replace(material, specular=WET, roughness=SMOOTH)
 
 
 def half_way(light: Tensor) -> Tensor:

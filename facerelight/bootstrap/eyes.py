@@ -55,9 +55,9 @@ def paint_eyes(reference: Tensor, gaze: Gaze, darkness: float) -> Tensor:
     white = gaze.white * (1 - 0.35 * along) * (1 - 0.4 * duct)
     from_axis = torch.hypot(side - 0.5 - gaze.aside * x.sign(), y - gaze.up)
     outward = from_axis / gaze.iris
-    ring = torch.exp(-0.5 * ((outward - 0.95) / 0.12).square())  # the limbus
+    ring = torch.exp(-0.5 * ((outward - 0.88) / 0.1).square())  # the limbus
     iris = 0.3 * (1 - darkness) * (0.8 + 0.4 * outward.clamp_max(1)) * (1 - 0.45 * ring)
-    eye = torch.lerp(white, iris, torch.sigmoid((gaze.iris - from_axis) / 0.004))
+    eye = torch.lerp(white, iris, torch.sigmoid((gaze.iris - from_axis) / 0.003))
     return torch.lerp(eye, torch.full_like(eye, 0.012), torch.sigmoid((gaze.pupil - from_axis) / 0.003))
 
 

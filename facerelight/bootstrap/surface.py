@@ -43,13 +43,14 @@ class Relief(NamedTuple):
 class Surface(NamedTuple):
     """What the camera sees of a painted head, at its P visible pixels.
 
-    ``position, normal (P, 3)``; ``albedo (P,)``; ``pixel (P,)`` flat indices into ``size``; and the head's
-    :class:`Relief`.
+    ``position, normal (P, 3)``; ``albedo (P,)``; ``wet (P,)`` bool, eyeballs; ``pixel (P,)`` flat indices into
+    ``size``; and the head's :class:`Relief`.
     """
 
     position: Tensor
     normal: Tensor
     albedo: Tensor
+    wet: Tensor
     pixel: Tensor
     size: tuple[int, int]
     relief: Relief
@@ -69,9 +70,8 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     if eye.any():
         eye_distance = renderer.supersample * float(np.linalg.norm(head.landmarks[1] - head.landmarks[0]))
         albedo *= lid_shade(eye, eye_distance).flatten()[pixel]
-    return Surface(
-        position, normal, albedo, pixel, (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
-    )
+    size, relief = (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
+    return Surface(position, normal, albedo, values[:, 3] > 0.5, pixel, size, relief)
 
 
 def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:

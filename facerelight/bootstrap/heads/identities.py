@@ -45,12 +45,16 @@ class IctHeads:
         self._reference = self._place(self._data.vertices)[0]
 
     def head(self, index: int) -> Head:
-        """Identity ``index``."""
+        """Identity ``index``, at ease."""
+        rng = np.random.default_rng((self.seed, index, 3))  # 1 and 2: paint and posture
+        return at_rest(self.awake(index), self._data.marks, rng)
+
+    def awake(self, index: int) -> Head:
+        """Identity ``index`` as people hold still for a scan: eyes wide open, lips a little apart."""
         data, rng = self._data, np.random.default_rng((self.seed, index))
         amounts = rng.normal(0, self.spread, len(data.modes))
         placed, landmarks = self._place(data.vertices + np.tensordot(amounts, data.modes.astype(np.float64), 1))
-        awake = Head(placed, data.triangles, self._reference, data.is_eye, landmarks)
-        return at_rest(awake, data.marks, np.random.default_rng((self.seed, index, 3)))  # 1 and 2: paint and posture
+        return Head(placed, data.triangles, self._reference, data.is_eye, landmarks)
 
     def _place(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         mark = vertices[self._data.marks]  # iBUG order: 36-41 and 42-47 the eyes, 48-67 the mouth

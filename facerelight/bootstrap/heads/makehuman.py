@@ -40,12 +40,7 @@ class MakeHumanHeads:
 
     def head(self, index: int) -> Head:
         """Person ``index``."""
-        rng = np.random.default_rng((self.seed, index))
-        resting = _resting(np.random.default_rng((self.seed, index, 3)))  # 1 and 2: paint and posture
-        for name, weight in self.expression.items():
-            resting[name] = min(resting.get(name, 0.0) + weight, max(1.0, weight))
-        recipe = self._recipe(rng) | {f"expression/{name}": weight for name, weight in resting.items()}
-        recipe = {name: weight for name, weight in recipe.items() if weight}
+        recipe = {name: weight for name, weight in self._weights(index).items() if weight}
         vertices = self._data["vertices"] + np.tensordot(
             np.array(list(recipe.values()), np.float32), np.stack([self._data[name] for name in recipe]), 1
         )
@@ -58,6 +53,14 @@ class MakeHumanHeads:
         data = self._data  # MakeHuman's left is the viewer's right
         points = np.stack([vertices[data[name]].mean(0) for name in ("eye_right", "eye_left", "mouth")])
         return normalise(vertices, points)
+
+    def _weights(self, index: int) -> dict[str, float]:
+        """Of all morph targets: who a person is, how the face rests, and what was asked for."""
+        resting = _resting(np.random.default_rng((self.seed, index, 3)))  # 1 and 2: paint and posture
+        for name, weight in self.expression.items():
+            resting[name] = min(resting.get(name, 0.0) + weight, max(1.0, weight))
+        recipe = self._recipe(np.random.default_rng((self.seed, index)))
+        return recipe | {f"expression/{name}": weight for name, weight in resting.items()}
 
     def _recipe(self, rng: np.random.Generator) -> dict[str, float]:
         """Random weights of the morph targets."""

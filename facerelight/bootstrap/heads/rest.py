@@ -16,6 +16,8 @@ HALF_WIDTH, UPPER, LOWER = 0.2, 0.083, -0.066
 BROW, CHEEK = 0.27, -0.26  # where the lids' movement ends
 MARKED = 1.2  # the opening's height in its middle, by that at the landmarks, a third of its width from the corners
 TOUCH = 0.002  # lips whose edges are no farther apart meet
+SOCKET = 0.03  # skin that deep inside an eyeball lines its socket
+NEAREST = 6  # vertices of an eyeball that say how far it reaches somewhere
 CLEARANCE = 0.004  # between an eyeball and the skin that slides over it
 
 
@@ -33,7 +35,7 @@ class Ease(NamedTuple):
     def random(cls, rng: np.random.Generator) -> Ease:
         """Draw a person's: lids alike but for a little, a closed smile for one in three."""
         uneven = rng.normal(0, 0.02, 2)
-        upper = (rng.uniform(0.0, 0.32) + uneven).clip(0, 0.4)
+        upper = (rng.uniform(0.05, 0.35) + uneven).clip(0, 0.4)
         lower = (rng.uniform(0, 0.1) + uneven / 2).clip(0, 0.15)
         smile = rng.uniform(0.5, 1.2) if rng.random() < 1 / 3 else 0.0
         return cls(upper, lower, 0.05 * smile, 0.05 * smile + rng.normal(0, 0.012), 0.03 * smile)
@@ -54,7 +56,7 @@ def at_rest(head: Head, marks: np.ndarray, rng: np.random.Generator) -> Head:
 
 def move_lids(head: Head, marks: np.ndarray, upper: np.ndarray, lower: np.ndarray) -> Head:
     """Bring the lids over the eyes: the skin between brow and cheek slides over the eyeball, as far above it as it was
-    and never inside. Landmarks stay.
+    and never inside. Landmarks stay, and where no eyeball is, everything.
 
     Args:
         head: with open eyes.
@@ -67,26 +69,27 @@ def move_lids(head: Head, marks: np.ndarray, upper: np.ndarray, lower: np.ndarra
         opening = MARKED * (mark[1:3].mean() - mark[4:6].mean())
         share = _closing(head.reference * (side, 1, 1), down, up) * (head.is_eye < 0.5)
         moved = np.flatnonzero(np.abs(share * opening) > 1e-5)
-        if len(moved) == 0:
-            continue
         ball = head.vertices[(head.is_eye > 0.5) & (side * head.reference[:, 0] > 0)]
+        if len(moved) == 0 or len(ball) < NEAREST:
+            continue
         centre, radius = _sphere(ball)
-        seen = ball[ball[:, 2] > centre[2] - 0.3 * radius] - centre
+        ball = ball - centre
         before = head.vertices[moved] - centre
-        angle = share[moved] * opening / radius  # about the axis from ear to ear
+        reach_before, ground_before = np.linalg.norm(before, axis=1), _ground(ball, before)
+        height = reach_before - ground_before
+        skin = _rise(height / SOCKET + 1)  # what lines the socket stays in it
+        angle = skin * share[moved] * opening / radius  # about the axis from ear to ear
         cosine, sine = np.cos(angle), np.sin(angle)
         after = np.stack(
             (before[:, 0], cosine * before[:, 1] + sine * before[:, 2], cosine * before[:, 2] - sine * before[:, 1]), 1
         )
-        reach, reach_before = (np.linalg.norm(points, axis=1) for points in (after, before))
-        ground_before, ground = _ground(seen, before), _ground(seen, after)
-        height = reach_before - ground_before
-        firm = (np.abs(angle) / 0.02).clip(0, 1)  # where nothing moves nothing is mended
-        height += firm * np.maximum(CLEARANCE - height, 0) * (height > -0.05)
+        ground = _ground(ball, after)
         fade = np.exp(-((reach_before / ground_before - 1).clip(0) / 0.4))  # far skin feels the eyeball's bulge less
-        outward = np.maximum(height + ground_before + fade * (ground - ground_before), 1e-6)
-        outward = np.where(height > -0.01, np.maximum(outward, ground + firm * CLEARANCE), reach)
-        vertices[moved] = centre + after * (outward / reach)[:, None]
+        reach = reach_before + fade * (ground - ground_before)
+        firm = (np.abs(angle) / 0.02).clip(0, 1)  # where nothing moves nothing is mended
+        reach += firm * (ground + CLEARANCE - reach).clip(0)
+        after *= (reach / np.linalg.norm(after, axis=1))[:, None]
+        vertices[moved] = centre + after
     return head._replace(vertices=vertices)
 
 
@@ -106,7 +109,7 @@ def close_lips(head: Head, marks: np.ndarray) -> Head:
     x, y, z = head.reference.astype(np.float64).T
     order = np.argsort(between[:, 0])
     line, apart = (np.interp(x, between[order, 0], values[order]) for values in (between[:, 1], gap))
-    near = np.exp(-0.5 * ((y - line) / 0.07) ** 2) * _rise((wide - np.abs(x)) / (0.2 * wide)) * _rise((z + 0.3) / 0.3)
+    near = _hill(((y - line) / 0.07) ** 2) * _rise((wide - np.abs(x)) / (0.2 * wide)) * _rise((z + 0.3) / 0.3)
     vertices = np.array(head.vertices, np.float64)
     vertices[:, 1] -= np.maximum(apart - TOUCH, 0) / 2 * near * np.tanh((y - line) / 0.003)
     return head._replace(vertices=vertices)
@@ -128,8 +131,8 @@ def move_mouth(head: Head, marks: np.ndarray, out: float, up: float, cheeks: flo
     x, y, z = head.reference.astype(np.float64).T
     side, level = np.abs(x), float(corners[:, 1].mean())
     skin = (head.is_eye < 0.5) * _rise((z + 0.6) / 0.4)
-    corner = np.exp(-0.5 * (((side - wide) / 0.16) ** 2 + ((y - level) / 0.17) ** 2)) * skin
-    cheek = np.exp(-0.5 * (((side - 0.62) / 0.2) ** 2 + ((y + 0.58) / 0.2) ** 2)) * skin
+    corner = _hill(((side - wide) / 0.16) ** 2 + ((y - level) / 0.17) ** 2) * skin
+    cheek = _hill(((side - 0.62) / 0.2) ** 2 + ((y + 0.58) / 0.2) ** 2) * skin
     aside = np.tanh(x / 0.1)
     move = corner[:, None] * np.stack((out * aside, np.full_like(x, up), np.full_like(x, -0.4 * out)), 1)
     move += cheek[:, None] * np.stack((0.3 * cheeks * aside, np.full_like(x, cheeks), np.full_like(x, cheeks)), 1)
@@ -161,9 +164,14 @@ def _sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
 def _ground(ball: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How far the eyeball reaches towards points ``(N, 3)``; both as seen from its centre."""
     reach = np.linalg.norm(ball, axis=1)
-    distance, near = cKDTree(ball / reach[:, None]).query(points / np.linalg.norm(points, axis=1)[:, None], 6)
+    distance, near = cKDTree(ball / reach[:, None]).query(points / np.linalg.norm(points, axis=1)[:, None], NEAREST)
     weight = np.exp(-0.5 * (distance / (distance[:, :3].mean(1, keepdims=True) + 1e-9)) ** 2)
     return (weight * reach[near]).sum(1) / weight.sum(1)
+
+
+def _hill(x: np.ndarray) -> np.ndarray:
+    """A bell over its squared distance: within a hundredth of a Gaussian's, and 0 from three deviations on."""
+    return (1 - x / 9).clip(0) ** 4.5
 
 
 def _rise(x: np.ndarray) -> np.ndarray:
