@@ -62,7 +62,7 @@ class TrainConfig:
     """
 
     heads: int = 80
-    source: str = "makehuman"
+    source: str = "ict"
     lights: int | Literal["paper"] | list[tuple[float, float]] = 64
     height: int = 128
     width: int = 112

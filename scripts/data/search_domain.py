@@ -1,9 +1,9 @@
 """Find the rendered world's scalar settings on the training side of each fold of Extended Yale B: a coordinate search.
 
 For every candidate, heads are rendered under the data's lights and all people are relit from a frontal and from a
-side-lit image. A fold sees the errors of its training people alone (three quarters of all), and walks from the plain
-world of upright heads, exact landmarks and even lamps to the best value of one setting after another, twice through.
-"all" does the same with everybody, for use on other data.
+side-lit image, fine detail kept. A fold sees the errors of its training people alone (with two folds, of every second
+person), and walks from the plain world of upright heads, exact landmarks and even lamps to the best value of one
+setting after another, twice through. "all" does the same with everybody, for use on other data.
 
 python scripts/data/search_domain.py --data yaleb_192x168.npz --json domain.json
 """
@@ -24,15 +24,17 @@ from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
+DETAIL = 0.5
 PLAIN = Domain(specular=0.028, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
 KNOBS: dict[str, tuple[float, ...]] = {
-    "side_light": (0.0, 0.2, 0.3, 0.4, 0.5, 0.6),
-    "pitch": (0.0, 4.0, 8.0, 12.0),
-    "misalign": (0.0, 0.03, 0.05, 0.07),
-    "turn": (0.0, 4.0, 6.0),
-    "specular": (0.014, 0.028, 0.055, 0.08),
-    "fill": (0.02, 0.05, 0.08),
-    "texture": (0.05, 0.1, 0.15),
+    "side_light": (0.0, 0.2, 0.3, 0.4, 0.5),
+    "top_light": (0.0, 0.1, 0.15, 0.2),
+    "pitch": (-4.0, 0.0, 4.0, 8.0),
+    "misalign": (0.0, 0.05, 0.07, 0.09),
+    "turn": (0.0, 4.0, 6.0, 8.0),
+    "specular": (0.028, 0.055, 0.07),
+    "fill": (0.02, 0.04),
+    "texture": (0.03, 0.05, 0.08),
 }
 
 
@@ -46,10 +48,10 @@ def render(task: tuple[TrainConfig, int, int]) -> torch.Tensor:
 class Search:
     """Errors of every candidate, each rendered once."""
 
-    def __init__(self, faces: FaceImages, heads: int, height: int, width: int) -> None:
+    def __init__(self, faces: FaceImages, source: str, heads: int, height: int, width: int) -> None:
         self.faces = faces
         angles = angle_pairs(faces.lights)
-        self.config = TrainConfig(heads, lights=angles, height=height, width=width, margin=0.0)
+        self.config = TrainConfig(heads, source, lights=angles, height=height, width=width, margin=0.0)
         self.pool = multiprocessing.get_context("spawn").Pool(2)
         self.error = cache(self._error)
         self.evaluated = 0
@@ -60,7 +62,7 @@ class Search:
         half = config.heads // 2
         images = torch.cat(self.pool.map(render, [(config, 0, half), (config, half, config.heads)]))
         statistics = FaceStatistics.fit(images, self.faces.lights, None, face_rank=20, brightness=True)
-        errors = torch.stack([relighting_errors(statistics, self.faces, case).nanmean(1) for case in ("front", "side")])
+        errors = torch.stack([relighting_errors(statistics, self.faces, case, DETAIL).nanmean(1) for case in ("front", "side")])
         self.evaluated += 1
         print(f"{errors.nanmean(1)[0]:.2f} front {errors.nanmean(1)[1]:.2f} side  {domain}", flush=True)
         return errors.mean(0)
@@ -77,14 +79,15 @@ class Search:
 def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
-    parser.add_argument("--folds", type=int, default=4)
+    parser.add_argument("--source", default="ict", help="of the heads: ict, makehuman, or a path")
+    parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--heads", type=int, default=40)
     parser.add_size(48, 42)
     parser.add_results("json")
     args = parser.parse_args()
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
-    search = Search(faces, args.heads, args.height, args.width)
+    search = Search(faces, args.source, args.heads, args.height, args.width)
     everybody = list(range(len(faces.names)))
     found = {
         "folds": [asdict(search.walk([i for i in everybody if i % args.folds != fold])) for fold in range(args.folds)],

@@ -45,7 +45,7 @@ def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
     parser.add_argument("--heads", type=int, default=80)
-    parser.add_argument("--source", default="makehuman")
+    parser.add_argument("--source", default="ict")
     parser.add_size(96, 84)
     parser.add_argument("--output", type=Path, default=None, help="a picture of the maps")
     parser.add_results("csv")

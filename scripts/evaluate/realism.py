@@ -12,14 +12,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
 from facerelight.evaluation.results import ScriptParser, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.train.dataset import make_dataset
 
-WORLDS = {"makehuman": Domain(), "ict": Domain(pitch=0.0)}
+SOURCES = ("makehuman", "ict")
 FOLDS, EPOCHS, BATCH = 4, 6, 64
 NOISE = 0.05  # of the crops' spread, standard deviation
 
@@ -89,8 +88,8 @@ def main() -> None:
     real, valid = to_grid(faces)
     config = TrainConfig(len(real), lights=angle_pairs(faces.lights), height=args.height, width=args.width, margin=0.0)
     rows: list[dict[str, object]] = []
-    for source, domain in WORLDS.items():
-        heads = make_dataset(replace(config, source=source, domain=domain)).images()
+    for source in SOURCES:
+        heads = make_dataset(replace(config, source=source)).images()
         crops, people = accuracy(real, valid, heads)
         rows.append({"heads": source, "crops": round(crops, 1), "people": round(people, 1)})
     print(markdown(rows))

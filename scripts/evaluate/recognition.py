@@ -105,7 +105,7 @@ def main() -> int:
     parser.add_argument("--source-light", choices=["labelled", "estimated"], default="labelled")
     parser.add_argument("--statistics", choices=["real", "synthetic"], default="real")
     parser.add_argument(
-        "--source", default="makehuman", help="of rendered heads: makehuman, ict_heads.npz or a folder of meshes"
+        "--source", default="ict", help="of rendered heads: ict, makehuman, ict_heads.npz or a folder of meshes"
     )
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_argument("--covariance", choices=["pixel", "face"], default="pixel")

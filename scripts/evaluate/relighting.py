@@ -29,15 +29,15 @@ def rendered_config(args: argparse.Namespace, lights: torch.Tensor, domain: Doma
     return TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0, domain=domain, fit=options)
 
 
-def read_domains(path: Path | None, folds: int, pitch: float) -> list[Domain]:
-    """The rendered world of each fold, as ``search_domain.py`` found it on that fold's other people; without a file the
-    package's own, with that ``pitch``."""
+def read_domains(path: Path | None, folds: int) -> list[Domain]:
+    """The rendered world of each fold, as ``search_domain.py`` found it on other people than that fold's (every second
+    of them, or more); without a file the package's own."""
     if path is None:
-        return [Domain(pitch=pitch)] * folds
+        return [Domain()] * folds
     found = [Domain(**values) for values in json.loads(path.read_text())["folds"]]
-    if len(found) != folds:
-        raise SystemExit(f"{path}: expected domains of {folds} folds, got {len(found)}")
-    return found
+    if folds % len(found):
+        raise SystemExit(f"{path}: expected domains of {folds} folds or a divisor of it, got {len(found)}")
+    return found * (folds // len(found))
 
 
 def main() -> int:
@@ -74,10 +74,7 @@ def main() -> int:
     parser.add_argument(
         "--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted"
     )
-    parser.add_argument("--source", default="makehuman", help="of the rendered heads: makehuman, ict, or a path")
-    parser.add_argument(
-        "--pitch", type=float, default=Domain().pitch, help="degrees by which rendered heads look up: 0 with ict"
-    )
+    parser.add_argument("--source", default="ict", help="of the rendered heads: ict, makehuman, or a path")
     parser.add_argument("--heads", type=int, default=160, help="rendered heads, with --statistics synthetic")
     parser.add_results("json")
     args = parser.parse_args()
@@ -95,7 +92,7 @@ def main() -> int:
     )
     widths: list[float] = []
 
-    domains = iter(read_domains(args.domain, args.folds, args.pitch))
+    domains = iter(read_domains(args.domain, args.folds))
 
     register = (args.registration or ("none" if args.statistics == "synthetic" else "affine")) == "affine"
 

@@ -1,6 +1,6 @@
 """Lay random heads of the bootstrap out, each under six lights.
 
-python scripts/figures/heads.py --source ict --output outputs/heads.png
+python scripts/figures/heads.py --output outputs/heads.png
 """
 
 from pathlib import Path
@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import torch
 
-from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.lights import light_from_angles
@@ -21,13 +20,12 @@ COLUMNS = 4  # heads beside each other
 
 def main() -> None:
     parser = ScriptParser(__file__, __doc__)
-    parser.add_argument("--source", default="makehuman")
-    parser.add_argument("--pitch", type=float, default=Domain().pitch, help="degrees by which heads look up")
+    parser.add_argument("--source", default="ict")
     parser.add_argument("--heads", type=int, default=24)
     parser.add_size(128, 112)
     parser.add_argument("--output", type=Path, default=Path("outputs/heads.png"))
     args = parser.parse_args()
-    config = TrainConfig(args.heads, args.source, height=args.height, width=args.width, domain=Domain(pitch=args.pitch))
+    config = TrainConfig(args.heads, args.source, height=args.height, width=args.width)
     lights = torch.stack([light_from_angles(float(a), float(e)) for a, e in LIGHTS])
     images = make_dataset(config, lights).images().clamp(0, 1) ** (1 / 2.2)
     people = [np.hstack(list(person)) for person in (255 * images).round().byte().numpy()]
