@@ -13,13 +13,13 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from facerelight.bootstrap.domain import Domain, Material
-from facerelight.bootstrap.hair import SHORN, Hairstyle
 from facerelight.bootstrap.heads import HeadSource
+from facerelight.bootstrap.look.hair import SHORN, Hairstyle
+from facerelight.bootstrap.look.scalp import Scalp, grow_hair
+from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.posture import place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.scalp import Scalp, grow_hair
 from facerelight.bootstrap.shading import plan_effects, shade
-from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import Surface, view_surface
 from facerelight.geometry.alignment import CropFrame
 
@@ -94,7 +94,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
     def look(self, index: int) -> Look:
         """Person ``index``'s paint and hair."""
         look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
-        return replace(look, style=Hairstyle.random(np.random.default_rng((self.seed, index, 3))))
+        return replace(look, style=Hairstyle.random(np.random.default_rng((self.seed, index, 4))))
 
     def surface(self, index: int) -> tuple[Surface, Material]:
         """Person ``index``, painted and seen by the camera, and their material."""

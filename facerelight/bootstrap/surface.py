@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from facerelight.bootstrap.eyes import lid_shade
 from facerelight.bootstrap.heads import Head
+from facerelight.bootstrap.look.eyes import lid_shade
+from facerelight.bootstrap.look.skin import Look, paint
 from facerelight.bootstrap.renderer import MeshRenderer
-from facerelight.bootstrap.skin import Look, paint
 
 __all__ = ["AROUND", "Relief", "Surface", "view_surface"]
 

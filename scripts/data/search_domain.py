@@ -62,7 +62,9 @@ class Search:
         half = config.heads // 2
         images = torch.cat(self.pool.map(render, [(config, 0, half), (config, half, config.heads)]))
         statistics = FaceStatistics.fit(images, self.faces.lights, None, face_rank=20, brightness=True)
-        errors = torch.stack([relighting_errors(statistics, self.faces, case, DETAIL).nanmean(1) for case in ("front", "side")])
+        errors = torch.stack(
+            [relighting_errors(statistics, self.faces, case, DETAIL).nanmean(1) for case in ("front", "side")]
+        )
         self.evaluated += 1
         print(f"{errors.nanmean(1)[0]:.2f} front {errors.nanmean(1)[1]:.2f} side  {domain}", flush=True)
         return errors.mean(0)

@@ -18,7 +18,7 @@ import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.skin import Look
+from facerelight.bootstrap.look.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale

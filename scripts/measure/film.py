@@ -68,9 +68,9 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.n
     from facerelight.bootstrap.dataset import open_renderer
     from facerelight.bootstrap.domain import Domain
     from facerelight.bootstrap.heads import MakeHumanHeads
+    from facerelight.bootstrap.look.skin import Look
     from facerelight.bootstrap.posture import place_in_frame, rotate
     from facerelight.bootstrap.shading import plan_effects, shade
-    from facerelight.bootstrap.skin import Look
     from facerelight.bootstrap.surface import view_surface
     from facerelight.geometry.alignment import CropFrame
     from facerelight.geometry.lights import light_from_angles

@@ -20,9 +20,9 @@ import numpy as np
 from facerelight.bootstrap.dataset import open_renderer
 from facerelight.bootstrap.domain import Domain
 from facerelight.bootstrap.heads import MakeHumanHeads
+from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.posture import place_in_frame, rotate
 from facerelight.bootstrap.shading import plan_effects, shade
-from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import view_surface
 from facerelight.evaluation.results import ScriptParser
 from facerelight.geometry.alignment import CropFrame

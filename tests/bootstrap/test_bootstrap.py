@@ -13,10 +13,10 @@ from facerelight.bootstrap.domain import Domain, Material
 from facerelight.bootstrap.effects import EFFECTS, Scene, highlight, highlight_reach
 from facerelight.bootstrap.heads import Head, MakeHumanHeads
 from facerelight.bootstrap.heads.meshes import MeshFolder
+from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.posture import PIVOT, place_in_frame, rotate, stand
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.shading import plan_effects, shade
-from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import view_surface
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import even_hemisphere, light_from_angles

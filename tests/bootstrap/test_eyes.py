@@ -8,10 +8,10 @@ import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.eyes import IRIS_RADIUS, Gaze, lashes, lid_shade, paint_eyes
 from facerelight.bootstrap.heads import IctHeads
 from facerelight.bootstrap.heads.rest import LOWER, UPPER
-from facerelight.bootstrap.skin import Look, paint
+from facerelight.bootstrap.look.eyes import IRIS_RADIUS, Gaze, lashes, lid_shade, paint_eyes
+from facerelight.bootstrap.look.skin import Look, paint
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 

@@ -8,9 +8,9 @@ import trimesh
 from facerelight.bootstrap.domain import Domain, Material
 from facerelight.bootstrap.effects import Scene
 from facerelight.bootstrap.heads import Head
+from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.shading import plan_effects, shade
-from facerelight.bootstrap.skin import Look
 from facerelight.bootstrap.surface import Surface, view_surface
 from facerelight.geometry.lights import light_from_angles
 
@@ -42,7 +42,7 @@ def test_a_lamp_at_the_side_is_brighter_as_the_domain_says() -> None:
 def test_a_lamp_above_is_brighter_as_the_domain_says(elevation: float, brightness: float) -> None:
     light = light_from_angles(0.0, elevation)
     one = torch.zeros(1)
-    surface = Surface(one.expand(1, 3), light[None], one, one.long(), (1, 1), None)  # type: ignore[arg-type]
+    surface = Surface(one.expand(1, 3), light[None], one, one > 0, one.long(), (1, 1), None)  # type: ignore[arg-type]
     scene = Scene(surface, light, Material(0.03, 0.3, 0.0, top_light=0.2))
     assert scene.lamp == pytest.approx(brightness, abs=1e-6)
 

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from facerelight.bootstrap.domain import Domain, Material
-from facerelight.bootstrap.eyes import Gaze, lashes, paint_eyes
-from facerelight.bootstrap.features import brows, lips, rings, stubble
-from facerelight.bootstrap.hair import BALD, Hairstyle, tint
-from facerelight.bootstrap.noise import smooth_noise
+from facerelight.bootstrap.look.eyes import Gaze, lashes, paint_eyes
+from facerelight.bootstrap.look.features import brows, lips, rings, stubble
+from facerelight.bootstrap.look.hair import BALD, Hairstyle, tint
+from facerelight.bootstrap.look.noise import smooth_noise
 
 __all__ = ["Look", "paint"]
 

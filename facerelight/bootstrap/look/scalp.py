@@ -10,13 +10,13 @@ from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from facerelight.bootstrap.features import BROW, brow_arc
-from facerelight.bootstrap.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
 from facerelight.bootstrap.heads import Head
-from facerelight.bootstrap.noise import bump
+from facerelight.bootstrap.look.features import BROW, brow_arc
+from facerelight.bootstrap.look.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
+from facerelight.bootstrap.look.noise import bump
 
 if TYPE_CHECKING:
-    from facerelight.bootstrap.skin import Look
+    from facerelight.bootstrap.look.skin import Look
 
 __all__ = ["Scalp", "grow_hair"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from facerelight.bootstrap.noise import bump, smooth_noise, step
+from facerelight.bootstrap.look.noise import bump, smooth_noise, step
 
 __all__ = ["brow_arc", "brows", "lips", "rings", "stubble"]
 
@@ -24,7 +24,7 @@ def brow_arc(side: Tensor, height: float) -> Tensor:
 
 
 def brows(reference: Tensor, height: float, width: float, seed: int) -> Tensor:
-    """Cover of the brows at points ``(P, 3)``, 0 to about 1, thinner towards the temple and broken by hairs, ``(P,)``."""
+    """Cover of the brows at points ``(P, 3)``, 0 to 1, thinner towards the temple and broken by hairs, ``(P,)``."""
     x, y, _ = reference.unbind(-1)
     side = x.abs()
     thickness = width * (1 - 0.55 * ((side - PEAK) / 0.4).clamp(0, 1))
