@@ -188,6 +188,7 @@ def _lift_skin(head: Head, look: Look) -> Head:
     side, y = reference[:, 0].abs(), reference[:, 1]
     arc = look.brow_height + 0.10 * (side - 0.25).clamp(0, 0.35) - 0.5 * (side - 0.62).clamp_min(0)
     brow = torch.exp(-0.5 * ((y - arc) / look.brow_width) ** 2) * ((side > 0.12) & (side < 0.92))
+    brow = brow * ((y - 0.12) / 0.06).clamp(0, 1)  # not the lid
     most = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
     lift = most.numpy() * (head.reference[:, 2] > -1) * (head.is_eye < 0.5)
     lifted = head.triangles[(lift[head.triangles] > 1e-3).any(1)]
