@@ -94,7 +94,7 @@ class BootstrapDataset(Dataset[RenderedHead]):
     def look(self, index: int) -> Look:
         """Person ``index``'s paint and hair."""
         look = Look.random(np.random.default_rng((self.seed, index, 1)), self.domain)
-        return replace(look, style=Hairstyle.random(np.random.default_rng((self.seed, index, 3))))
+        return replace(look, style=Hairstyle.random(np.random.default_rng((self.seed, index, 3)), look.hairline + 0.05))
 
     def surface(self, index: int) -> tuple[Surface, Material]:
         """Person ``index``, painted and seen by the camera, and their material."""

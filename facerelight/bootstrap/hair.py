@@ -51,10 +51,10 @@ class Hairstyle:
     seed: int = 0
 
     @classmethod
-    def random(cls, rng: np.random.Generator) -> Hairstyle:
-        """Draw a person's hair."""
+    def random(cls, rng: np.random.Generator, hairline: float = 1.05) -> Hairstyle:
+        """Draw a person's hair; ``hairline``: its height, where the forehead is free."""
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-        high, recess, fringe = rng.normal(1.05, 0.09), rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
+        high, recess, fringe = max(0.85, hairline), rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
         front: tuple[tuple[float, float], ...] = ((0, high), (26, high + 0.02), (40, high - 0.1 + recess))
         sides: tuple[tuple[float, float], ...] = SIDES
         hem = None
