@@ -18,6 +18,7 @@ import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.domain import Domain
+from facerelight.bootstrap.look.hair import BALD
 from facerelight.bootstrap.look.skin import Look
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
@@ -31,15 +32,15 @@ from facerelight.train.dataset import make_dataset
 
 PAINT = {
     "brows, eyes, lips": ("brows", "lips", "sockets", "iris"),
-    "stubble and hair": ("stubble", "hair", "hairline"),
+    "stubble and hair": ("stubble", "style"),
     "pigment and grain": ("pigment", "grain"),
 }
-BARE = {name: 0.0 for names in PAINT.values() for name in names} | {"hairline": 3.0}
+BARE: dict[str, Any] = {name: 0.0 for names in PAINT.values() for name in names} | {"style": BALD}
 NOISE = 2 / 255  # of the sensor, standard deviation
 MOTION = 0.3  # pixels by which a head moves between lights, standard deviation
 
 
-def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
+def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, Any]]]:
     """Rows: what is added, the domain, and the paint that is still left out."""
     plain = replace(
         found, tone_low=0.5, tone_high=0.5, specular=0.0, fill=0.0, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0
@@ -66,7 +67,7 @@ def worlds(found: Domain) -> list[tuple[str, Domain, dict[str, float]]]:
 class BareHeads(BootstrapDataset):
     """Heads without some of their paint."""
 
-    def __init__(self, *arguments: Any, bare: dict[str, float]) -> None:
+    def __init__(self, *arguments: Any, bare: dict[str, Any]) -> None:
         super().__init__(*arguments)
         self.bare = bare
 
@@ -75,7 +76,7 @@ class BareHeads(BootstrapDataset):
         return replace(super().look(index), **self.bare)
 
 
-def render(config: TrainConfig, bare: dict[str, float], part: int, *, parts: int) -> torch.Tensor:
+def render(config: TrainConfig, bare: dict[str, Any], part: int, *, parts: int) -> torch.Tensor:
     """Every ``parts``-th head of a config from number ``part`` on, without some of its paint, ``(N, J, H, W)``."""
     torch.set_num_threads(1)
     whole = make_dataset(config)
@@ -145,7 +146,7 @@ def main() -> None:
 
     with multiprocessing.get_context("spawn").Pool(2) as pool:
 
-        def rendered(config: TrainConfig, bare: dict[str, float]) -> torch.Tensor:
+        def rendered(config: TrainConfig, bare: dict[str, Any]) -> torch.Tensor:
             return torch.cat(pool.map(partial(render, config, bare, parts=2), range(2)))
 
         for name, domain, bare in worlds(Domain()):

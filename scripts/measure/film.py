@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,7 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.n
     """A head that turns and speaks, with noise, and the truth under the new lamp without; where all frames show it."""
     from facerelight.bootstrap.dataset import open_renderer
     from facerelight.bootstrap.domain import Domain
+    from facerelight.bootstrap.look.hair import SHORN
     from facerelight.bootstrap.heads import MakeHumanHeads
     from facerelight.bootstrap.look.skin import Look
     from facerelight.bootstrap.posture import place_in_frame, rotate
@@ -77,7 +79,8 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.n
 
     frame, domain = CropFrame(400, 360, 0.55), Domain(fill=0.1)
     rng, renderer = np.random.default_rng(2), open_renderer(frame)
-    look, films = Look.random(np.random.default_rng(7), domain), ([], [])  # type: ignore[var-annotated]
+    look = replace(Look.random(np.random.default_rng(7), domain), style=SHORN)
+    films: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     level, always = None, np.ones((frame.height, frame.width), bool)
     for k in range(count):
         head = MakeHumanHeads(11, expression={EXPRESSION: OPEN * (0.5 - 0.5 * np.cos(k / 2.5))}).head(0)

@@ -11,6 +11,7 @@ first, and written there: what facerelight/photo/networks/canonical_face.npz hol
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from facerelight.bootstrap.dataset import open_renderer
 from facerelight.bootstrap.domain import Domain
+from facerelight.bootstrap.look.hair import SHORN
 from facerelight.bootstrap.heads import MakeHumanHeads
 from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.posture import place_in_frame, rotate
@@ -68,7 +70,7 @@ def head_photos(
     middle = np.array(((FRAME.width - 1) / 2, (FRAME.height - 1) / 2))
     for index in range(count):
         rng = np.random.default_rng((seed, index, 7))
-        look = Look.random(rng, domain)
+        look = replace(Look.random(rng, domain), style=SHORN)
         upright = source.head(index)
         yaw, pitch = rng.uniform(-turn, turn), PITCH + 0.6 * rng.uniform(-turn, turn)
         if pose is not None:

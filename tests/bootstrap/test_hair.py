@@ -58,7 +58,7 @@ def seen(head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("style", [FRINGE, LONG], ids=["fringe", "long"])
 def test_hair_lies_on_the_skin_and_leaves_the_eyes_free(name: str, style: Hairstyle, scalps: dict[str, Scalp]) -> None:
     bare = SOURCES[name].head(3)
-    hairy = grow_hair(bare, scalps[name], replace(LOOK, style=style))
+    hairy = grow_hair(bare, scalps[name], replace(LOOK, style=style, brow_height=0.12, brow_width=0.09))
     skin, eyes = seen(bare)[::2]
     surface, reference, part = seen(hairy)
     pixel = np.linalg.norm(np.diff(FRAME.landmarks[:2].numpy(), axis=0))  # an eye distance

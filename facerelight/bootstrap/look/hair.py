@@ -52,9 +52,10 @@ class Hairstyle:
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> Hairstyle:
-        """Draw a person's hair."""
+        """Draw a person's hair; ``hairline``: its height, where the forehead is free."""
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-        high, recess, fringe = rng.normal(1.05, 0.09), rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
+        high = max(0.85, float(rng.normal(1.05, 0.12)))
+        recess, fringe = rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)
         front: tuple[tuple[float, float], ...] = ((0, high), (26, high + 0.02), (40, high - 0.1 + recess))
         sides: tuple[tuple[float, float], ...] = SIDES
         hem = None

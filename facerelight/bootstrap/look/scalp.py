@@ -189,6 +189,7 @@ def _lift_skin(head: Head, look: Look) -> Head:
     beard, moustache = beard_cover(reference, style)
     side, y = reference[:, 0].abs(), reference[:, 1]
     brow = bump(y - brow_arc(side, look.brow_height), look.brow_width) * ((side > BROW[0]) & (side < BROW[1]))
+    brow = brow * ((y - 0.12) / 0.06).clamp(0, 1)  # not the lid
     most = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
     lift = most.numpy() * (head.reference[:, 2] > -1) * (head.is_eye < 0.5)
     lifted = head.triangles[(lift[head.triangles] > 1e-3).any(1)]
