@@ -91,7 +91,7 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     beard = torch.maximum(beard, moustache)
     hair = _step(y - look.hairline + 0.25 * (side / 0.9).square(), 0, 0.08) + _step(-0.75 - z + 0.2 * y, 0, 0.1)
     hair = (hair * (1 + 0.3 * _noise(reference, 30, look.seed + 3))).clamp(0, 1)
-    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.85 * lashes(reference)) * (1 - look.sockets * sockets)
+    shade = (1 - brow) * (1 - look.lips * lip) * (1 - 0.65 * lashes(reference)) * (1 - look.sockets * sockets)
     shade = shade * (1 - (0.7 * look.stubble * beard * hairs.clamp(0, 2)).clamp(0, 0.9))
     surface = torch.exp(skin) * shade * (1 - hair) + hair * (1 - look.hair) * 0.5
     eye = paint_eyes(reference, Gaze.random(np.random.default_rng((look.seed, 4))), look.iris)
