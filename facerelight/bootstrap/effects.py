@@ -22,7 +22,7 @@ __all__ = ["EFFECTS", "AmbientFill", "AttachedShadow", "CastShadow", "Effect", "
 
 REFLECTANCE = 0.028  # of skin at normal incidence; sets how it grows towards grazing
 LEAST_VIEW = 0.05  # cosine to the viewer: pixels at the outline hold no thinner slivers
-WET, SMOOTH = 0.02, 0.09  # reflectance and roughness of eyeballs, whose light is a glint and not a sheen
+WET, SMOOTH = 0.01, 0.07  # reflectance and roughness of eyeballs, whose light is a glint and not a sheen
 SMALL = 1e-6  # radiance that cannot matter
 
 

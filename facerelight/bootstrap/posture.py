@@ -11,6 +11,8 @@ from facerelight.geometry.alignment import CropFrame
 __all__ = ["PIVOT", "place_in_frame", "rotate", "stand"]
 
 PIVOT = np.array((0.0, -0.3, -0.8))  # the middle of a head: turned about it, the face stays in the crop
+EYE_RADIUS = 0.24  # an eyeball's
+FOLLOW = np.array((1.0, 0.3))  # how far eyes turn back, past their lids, aside and up: lids go up and down with them
 
 
 def rotate(head: Head, azimuth: float, elevation: float) -> Head:
@@ -19,22 +21,29 @@ def rotate(head: Head, azimuth: float, elevation: float) -> Head:
         raise ValueError(
             f"pose: expected azimuth within 90 and elevation within 60 degrees, got {azimuth} and {elevation}"
         )
-    a, e = np.deg2rad((azimuth, elevation))
-    about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
-    about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
-    turn = about_x @ about_y
+    turn = _turn(azimuth, elevation)
     return head._replace(
         vertices=(head.vertices - PIVOT) @ turn.T + PIVOT, landmarks=(head.landmarks - PIVOT) @ turn.T + PIVOT
     )
 
 
+def _turn(azimuth: float, elevation: float) -> np.ndarray:
+    a, e = np.deg2rad((azimuth, elevation))
+    about_y = np.array(((np.cos(a), 0, np.sin(a)), (0, 1, 0), (-np.sin(a), 0, np.cos(a))))
+    about_x = np.array(((1, 0, 0), (0, np.cos(e), np.sin(e)), (0, -np.sin(e), np.cos(e)))).T
+    return about_x @ about_y
+
+
 def stand(head: Head, rng: np.random.Generator, domain: Domain) -> Head:
-    """How a person happens to stand before the camera: looking up and turned a little, the landmarks marked a little
-    off."""
+    """How a person happens to stand before the camera: the head up and turned a little, the eyes on the camera, the
+    landmarks marked a little off."""
     aside, up = domain.turn * rng.standard_normal(2).clip(-2, 2)
     marked = domain.misalign * rng.standard_normal((3, 3)) * (1, 1, 0)
     turned = rotate(head, aside, up - domain.pitch)
-    return turned._replace(landmarks=turned.landmarks + marked)
+    camera = EYE_RADIUS * FOLLOW * _turn(aside, up - domain.pitch)[2, :2]  # as the head sees it
+    reference = np.array(head.reference)
+    reference[head.is_eye > 0.5, :2] -= camera  # an eye that turns carries its paint along
+    return turned._replace(reference=reference, landmarks=turned.landmarks + marked)
 
 
 def place_in_frame(head: Head, frame: CropFrame, landmarks: np.ndarray | None = None) -> Head:

@@ -68,8 +68,8 @@ def rendered_films(count: int) -> tuple[list[np.ndarray], list[np.ndarray], np.n
     """A head that turns and speaks, with noise, and the truth under the new lamp without; where all frames show it."""
     from facerelight.bootstrap.dataset import open_renderer
     from facerelight.bootstrap.domain import Domain
-    from facerelight.bootstrap.look.hair import SHORN
     from facerelight.bootstrap.heads import MakeHumanHeads
+    from facerelight.bootstrap.look.hair import SHORN
     from facerelight.bootstrap.look.skin import Look
     from facerelight.bootstrap.posture import place_in_frame, rotate
     from facerelight.bootstrap.shading import plan_effects, shade

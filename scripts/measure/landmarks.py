@@ -20,8 +20,8 @@ import numpy as np
 
 from facerelight.bootstrap.dataset import open_renderer
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.look.hair import SHORN
 from facerelight.bootstrap.heads import MakeHumanHeads
+from facerelight.bootstrap.look.hair import SHORN
 from facerelight.bootstrap.look.skin import Look
 from facerelight.bootstrap.posture import place_in_frame, rotate
 from facerelight.bootstrap.shading import plan_effects, shade

@@ -8,10 +8,11 @@ import torch
 
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.domain import Domain
-from facerelight.bootstrap.heads import IctHeads
+from facerelight.bootstrap.heads import HeadSource, IctHeads, MakeHumanHeads
 from facerelight.bootstrap.heads.rest import LOWER, UPPER
 from facerelight.bootstrap.look.eyes import IRIS_RADIUS, Gaze, lashes, lid_shade, paint_eyes
 from facerelight.bootstrap.look.skin import Look, paint
+from facerelight.bootstrap.posture import stand
 from facerelight.geometry.alignment import CropFrame
 from facerelight.geometry.lights import light_from_angles
 
@@ -61,7 +62,7 @@ def test_shade_hangs_from_the_lid() -> None:
     column = shade[10:30, 30]
     assert (shade[~eye] == 1).all()
     assert (column.diff() > 0).all()
-    assert column[0] < 0.5
+    assert column[0] < 0.7
     assert column[-1] > 0.95
     twice = lid_shade(eye.repeat_interleave(2, 0).repeat_interleave(2, 1), 200.0)
     assert (torch.nn.functional.avg_pool2d(twice[None], 2)[0] - shade).abs().max() < 0.01
@@ -96,3 +97,30 @@ def test_no_white_above_the_iris_in_a_rendered_face() -> None:
     dataset.close()
     assert max(highest) < IRIS_RADIUS
     assert 0.03 < np.mean(highest) < 0.08  # lids end between the rim of the pupil and that of the iris
+
+
+@pytest.mark.parametrize("source", [IctHeads(), MakeHumanHeads()])
+def test_eyes_stay_on_the_camera_when_a_head_turns(source: HeadSource) -> None:
+    """As the camera sees it, the iris of a head that is turned aside stays in the middle of the eyeball, where it was;
+    nothing but eyes changes its paint."""
+    head, domain = source.head(1), Domain(pitch=0.0, turn=0.0, misalign=0.0)
+
+    def iris(seed: int, turn: float, reference: np.ndarray | None = None) -> np.ndarray:
+        """How far to image-right the iris of each eye lies of the eyeball's middle."""
+        stood = stand(head, np.random.default_rng(seed), replace(domain, turn=turn))
+        assert np.array_equal(stood.reference[head.is_eye < 0.5], head.reference[head.is_eye < 0.5])
+        painted, places = stood.reference if reference is None else reference, []
+        for side in (-1, 1):
+            ball = (head.is_eye > 0.5) & (side * head.reference[:, 0] > 0)
+            front = ball & (head.vertices[:, 2] > head.vertices[ball, 2].max() - 0.1)
+            x, y = painted[front, 0] - side * 0.5, painted[front, 1]
+            terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), 1)
+            fitted = np.linalg.lstsq(terms, stood.vertices[front, 0], rcond=None)[0]
+            places.append(fitted[0] - stood.vertices[ball, 0].mean())
+        return np.array(places)
+
+    for seed in range(6):
+        straight, turned, left_behind = iris(seed, 0.0), iris(seed, 10.0), iris(seed, 10.0, head.reference)
+        carried = np.abs(left_behind - straight).max()
+        assert np.abs(turned - straight).max() < 0.25 * carried + 0.006
+    assert max(np.abs(iris(k, 10.0, head.reference) - iris(k, 0.0)).max() for k in range(6)) > 0.02

@@ -81,4 +81,4 @@ def lid_shade(eye: Tensor, eye_distance: float) -> Tensor:
     rows = torch.arange(len(eye))[:, None]
     lid = torch.where(eye, -1, rows).cummax(0).values  # the last pixel above that is no eye
     below = (rows - lid - 0.5) / max(eye_distance, 1e-6)
-    return torch.where(eye, 1 - 0.6 * torch.exp(-below / 0.03), 1.0)
+    return torch.where(eye, 1 - 0.4 * torch.exp(-below / 0.03), 1.0)

@@ -52,7 +52,7 @@ class Hairstyle:
 
     @classmethod
     def random(cls, rng: np.random.Generator) -> Hairstyle:
-        """Draw a person's hair; ``hairline``: its height, where the forehead is free."""
+        """Draw a person's hair."""
         kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
         high = max(0.85, float(rng.normal(1.05, 0.12)))
         recess, fringe = rng.uniform(0.0, 0.15), rng.uniform(0.45, 0.75)

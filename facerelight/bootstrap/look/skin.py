@@ -93,7 +93,7 @@ def paint(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     brow = (look.brows * brows(reference, look.brow_height, look.brow_width, look.seed + 2)).clamp(0, 0.95)
     (mouth, line), (around, under) = lips(reference), rings(reference)
     shaven = 0.7 * look.stubble * stubble(reference, mouth) * (1 + 0.15 * smooth_noise(reference, 60, look.seed + 2))
-    left = (1 - brow) * (1 - look.lips * mouth) * (1 - look.line * line) * (1 - 0.85 * lashes(reference))
+    left = (1 - brow) * (1 - look.lips * mouth) * (1 - look.line * line) * (1 - 0.65 * lashes(reference))
     left = left * (1 - look.sockets * around) * (1 - look.under * under) * (1 - shaven.clamp(0, 0.9))
     surface = tint(look.tone * torch.exp(skin) * left, reference, (-is_eye).clamp_min(0), look.style, look.hair)
     return torch.where(is_eye > 0.5, paint_eyes(reference, look.gaze, look.iris), surface).clamp(0.01, 1.5)
