@@ -1,9 +1,10 @@
 """Find the rendered world's scalar settings on the training side of each fold of Extended Yale B: a coordinate search.
 
-For every candidate, heads are rendered under the data's lights and all people are relit from a frontal and from a
-side-lit image, fine detail kept. A fold sees the errors of its training people alone (with two folds, of every second
-person), and walks from the plain world of upright heads, exact landmarks and even lamps to the best value of one
-setting after another, twice through. "all" does the same with everybody, for use on other data.
+For every candidate all people are relit from a frontal and from a side-lit image, fine detail kept. A fold sees the
+errors of its training people alone (with two folds, of every second person), and walks from even lamps to the best
+value of one setting after another, twice through. "all" does the same with everybody, for use on other data.
+
+Heads are rendered once for every way of standing and painting; lamps and fill light are factors of what was rendered.
 
 python scripts/data/search_domain.py --data yaleb_192x168.npz --json domain.json
 """
@@ -14,6 +15,7 @@ from dataclasses import asdict, replace
 from functools import cache
 
 import torch
+from torch import Tensor
 
 from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
@@ -25,20 +27,20 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
 DETAIL = 0.5
-PLAIN = Domain(specular=0.028, side_light=0.0, pitch=0.0, turn=0.0, misalign=0.0)
+START = Domain(side_light=0.0, top_light=0.0)
 KNOBS: dict[str, tuple[float, ...]] = {
     "side_light": (0.0, 0.2, 0.3, 0.4, 0.5),
     "top_light": (0.0, 0.1, 0.15, 0.2),
-    "pitch": (-4.0, 0.0, 4.0, 8.0),
-    "misalign": (0.0, 0.05, 0.07, 0.09),
-    "turn": (0.0, 4.0, 6.0, 8.0),
-    "specular": (0.028, 0.055, 0.07),
-    "fill": (0.02, 0.04),
+    "fill": (0.0, 0.02, 0.04),
+    "pitch": (0.0, 4.0, 8.0),
+    "misalign": (0.05, 0.07, 0.09),
+    "turn": (4.0, 6.0, 8.0),
     "texture": (0.03, 0.05, 0.08),
 }
+UNIT_FILL = 0.01
 
 
-def render(task: tuple[TrainConfig, int, int]) -> torch.Tensor:
+def render(task: tuple[TrainConfig, int, int]) -> Tensor:
     """Heads ``first`` to ``last`` of a config, ``(N, J, H, W)``."""
     config, first, last = task
     torch.set_num_threads(1)
@@ -46,22 +48,41 @@ def render(task: tuple[TrainConfig, int, int]) -> torch.Tensor:
 
 
 class Search:
-    """Errors of every candidate, each rendered once."""
+    """Errors of every candidate, each once."""
 
     def __init__(self, faces: FaceImages, source: str, heads: int, height: int, width: int) -> None:
         self.faces = faces
         angles = angle_pairs(faces.lights)
         self.config = TrainConfig(heads, source, lights=angles, height=height, width=width, margin=0.0)
         self.pool = multiprocessing.get_context("spawn").Pool(2)
-        self.error = cache(self._error)
+        self.parts, self.error = cache(self._parts), cache(self._error)
         self.evaluated = 0
 
-    def _error(self, domain: Domain) -> torch.Tensor:
+    def _parts(self, domain: Domain) -> tuple[Tensor, Tensor]:
+        """Of a world with even lamps and without fill: images ``(N, J, H, W)``, and what unit fill light adds to all of
+        them ``(N, 1, H, W)``."""
+        dark = replace(self.config, domain=domain)
+        filled = replace(
+            self.config,
+            domain=replace(domain, fill=UNIT_FILL),
+            lights=self.config.lights[:4],  # type: ignore[index]
+        )
+        half = dark.heads // 2
+        tasks = [(config, *part) for config in (dark, filled) for part in ((0, half), (half, dark.heads))]
+        *images, first, last = self.pool.map(render, tasks, 1)
+        lit = torch.cat(images)
+        return lit, (torch.cat((first, last)) - lit[:, :4]).mean(1, keepdim=True)
+
+    def images(self, domain: Domain) -> Tensor:
+        """What ``domain`` looks like, ``(N, J, H, W)``."""
+        lit, fill = self.parts(replace(domain, side_light=0.0, top_light=0.0, fill=0.0))
+        y, z = self.faces.lights[:, 1], self.faces.lights[:, 2]
+        lamps = (1 + domain.side_light * (1 - z)) * (1 + domain.top_light * y)
+        return lamps[:, None, None] * lit + domain.fill / UNIT_FILL * fill
+
+    def _error(self, domain: Domain) -> Tensor:
         """RMSE in grey levels by person, mean of the frontal and the side-lit input, ``(people,)``."""
-        config = replace(self.config, domain=domain)
-        half = config.heads // 2
-        images = torch.cat(self.pool.map(render, [(config, 0, half), (config, half, config.heads)]))
-        statistics = FaceStatistics.fit(images, self.faces.lights, None, face_rank=20, brightness=True)
+        statistics = FaceStatistics.fit(self.images(domain), self.faces.lights, None, face_rank=20, brightness=True)
         errors = torch.stack(
             [relighting_errors(statistics, self.faces, case, DETAIL).nanmean(1) for case in ("front", "side")]
         )
@@ -71,7 +92,7 @@ class Search:
 
     def walk(self, people: list[int]) -> Domain:
         """The best value of one setting after another, twice through, by the errors of ``people``."""
-        best = PLAIN
+        best = START
         for name, values in 2 * list(KNOBS.items()):
             tried = [replace(best, **{name: value}) for value in values]
             best = min(tried, key=lambda domain: float(self.error(domain)[people].nanmean()))
