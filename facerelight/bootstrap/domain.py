@@ -30,10 +30,10 @@ class Domain:
     texture: float = 0.05
     specular: float = 0.055
     roughness: float = 0.35
-    fill: float = 0.02
-    side_light: float = 0.4
+    fill: float = 0.0
+    side_light: float = 0.0
     top_light: float = 0.0
-    pitch: float = 8.0
+    pitch: float = 0.0
     turn: float = 6.0
     misalign: float = 0.07
 

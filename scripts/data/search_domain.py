@@ -27,12 +27,12 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
 DETAIL = 0.5
-START = Domain(side_light=0.0, top_light=0.0)
+START = Domain(side_light=0.0, top_light=0.0, pitch=0.0)
 KNOBS: dict[str, tuple[float, ...]] = {
-    "side_light": (0.0, 0.2, 0.3, 0.4, 0.5),
+    "side_light": (0.0, 0.2, 0.3, 0.4),
     "top_light": (0.0, 0.1, 0.15, 0.2),
-    "fill": (0.0, 0.02, 0.04),
-    "pitch": (0.0, 4.0, 8.0),
+    "fill": (0.0, 0.01, 0.02),
+    "pitch": (-4.0, 0.0, 4.0),
     "misalign": (0.05, 0.07, 0.09),
     "turn": (4.0, 6.0, 8.0),
     "texture": (0.03, 0.05, 0.08),
