@@ -57,6 +57,13 @@ MUTANTS = (
         "bootstrap/test_lamp.py",
     ),
     Mutant(
+        "lamps above",
+        "bootstrap/effects.py",
+        "1 + self.material.top_light",
+        "1 - self.material.top_light",
+        "bootstrap/test_lamp.py",
+    ),
+    Mutant(
         "exposure of a photograph",
         "photo/face_model.py",
         ".clamp_min(0) * self.exposure).numpy()",

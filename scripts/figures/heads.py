@@ -49,7 +49,9 @@ def colours(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     blood = rng.uniform(0.15, 0.4)
     skin, mouth = (torch.tensor(skin_colour(look.tone, b), dtype=torch.float32) for b in (blood, blood + 0.6))
     skin, mouth = (each / (each @ torch.tensor(LUMINANCE)) for each in (skin, mouth))
-    hair = torch.tensor((1.35, 0.95, 0.6)) * torch.tensor((1.0, 1.0, 1.0 + 0.6 * look.hair))
+    # half of what hair reflects has passed through its pigment
+    strand = 0.02 + 0.45 * (1 - look.hair) ** 2
+    hair = torch.tensor(0.5 + 0.5 * strand ** (MELANIN - 1), dtype=torch.float32)
     iris = torch.tensor(IRISES[rng.integers(len(IRISES))] if look.tone > 0.5 else IRISES[0])
     tinted = torch.lerp(skin.expand(len(reference), 3), mouth, lips(reference)[0][:, None].clamp(0, 1))
     # what a lighter tone would not lighten is no skin
