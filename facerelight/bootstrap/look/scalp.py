@@ -140,7 +140,7 @@ def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
         outer = np.maximum(hanging, radius + thickness + dip)
         free = _around((outer > radius) & (reference[..., 1] < TEMPLES), 3).astype(float)
         reference = reference + (free * (outer - radius - thickness - dip))[..., None] * scalp.outward
-        height = np.maximum(height, style.hem + 0.08 * ends)
+        height = np.maximum(height, style.hem + 0.2 * ends)
     axis = np.stack(np.broadcast_arrays(CENTRE[0], height, CENTRE[2]), -1)
     vertices = axis + base + (outer - radius)[..., None] * scalp.outward
     vertices[..., 1] -= (
