@@ -27,7 +27,7 @@ class Domain:
 
     tone_low: float = 0.3
     tone_high: float = 0.8
-    texture: float = 0.05
+    texture: float = 0.03
     specular: float = 0.055
     roughness: float = 0.35
     fill: float = 0.0

@@ -56,7 +56,7 @@ def main() -> None:
     torch.set_grad_enabled(False)
     names = args.expressions or ["mouthSmileLeft+mouthSmileRight", "jawOpen"]
     expressions = [tuple((part, 0.8) for part in name.split("+")) for name in names]
-    config = TrainConfig(heads=args.heads, height=args.height, width=args.width, supersample=1)
+    config = TrainConfig(args.heads, "makehuman", height=args.height, width=args.width, supersample=1)
     with tempfile.TemporaryDirectory() as folder:
         source = BootstrapViews(config, folder)
         people = BootstrapViews(replace(config, heads=args.people), folder, first=args.heads)
