@@ -98,19 +98,22 @@ def main() -> None:
         config.directions(),
         Errors(args.every),
     )
-    for name, estimator in estimators(heads[:100], lights, None, 40).items():
+    rendered = estimators(heads[:100], lights, None, 40)
+    for name, estimator in rendered.items():
         errors.add(name, estimator, heads[100:].flatten(0, 1), lights.repeat(20, 1))
     results["heads"] = errors
 
     faces = load_yale(args.data, args.height, args.width)
     images, valid = to_grid(faces)
-    errors = Errors(args.every)
+    errors, from_heads = Errors(args.every), Errors(args.every)
     for fold in range(4):
         out = torch.arange(len(images)) % 4 == fold
         truth = faces.lights.expand(int(out.sum()), -1, -1)[valid[out]]
         for name, estimator in estimators(images[~out], faces.lights, valid[~out], 18).items():
             errors.add(name, estimator, images[out][valid[out]], truth)
-    results["Yale B"] = errors
+    for name, estimator in rendered.items():
+        from_heads.add(name, estimator, images[valid], faces.lights.expand(len(images), -1, -1)[valid])
+    results |= {"Yale B": errors, "Yale B by heads": from_heads}
 
     if args.pie:
         pie, errors = pie_as_canonical(load_pie(args.pie), CropFrame(args.height, args.width)), Errors(args.every)
