@@ -191,7 +191,7 @@ def test_the_fast_path_is_near_the_exact_one(packaged, crops, quick):
     relit, drawn = augment(faces), augment._params
     exact = RandomFaceRelight(relighter=ExactRelighter(packaged), encoding="linear", p=1.0)(faces, params=drawn)
     assert 255 * (relit - exact).square().mean().sqrt() < 6  # with the default block of 2 a half of it
-    assert 255 * (exact - faces).square().mean().sqrt() > 25
+    assert 255 * (exact - faces).square().mean().sqrt() > 20
 
 
 def test_what_is_black_not_finite_or_of_strong_contrast_passes_and_is_said(faces, quick):

@@ -41,7 +41,7 @@ FACE = 0.95  # of the outline; hair and background are left out ...
 LEAST = 0.3  # ... and modules of which less than that is face
 TOGETHER = 64  # templates compared at once
 STRANGERS = 0.188  # cosine of different people of CMU PIE, for where few are enrolled
-PIE_LEVELS = Levels(0.002, 0.015, 1.60, -3.25)
+PIE_LEVELS = Levels(0.0, 0.015, 1.56, -3.22)
 
 
 class IndividualRecognizer:
