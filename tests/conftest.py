@@ -75,7 +75,8 @@ def posed(tmp_path_factory: pytest.TempPathFactory):
     from facerelight.config import TrainConfig
     from facerelight.viewpoint.pose import BootstrapViews
 
-    return BootstrapViews(TrainConfig(heads=20, source="makehuman", height=48, width=42, supersample=1), tmp_path_factory.mktemp("views"))
+    config = TrainConfig(heads=20, source="makehuman", height=48, width=42, supersample=1)
+    return BootstrapViews(config, tmp_path_factory.mktemp("views"))
 
 
 @pytest.fixture(scope="session")

@@ -87,9 +87,7 @@ def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:
     ]
     left, top, right, bottom = edges[0] - 1, edges[1] - 1, edges[2] + 2, edges[3] + 2
     window = (left * factor, top * factor, (right - left) * factor, (bottom - top) * factor)
-    # Every other texel bounds well enough.
-    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window)[::2, ::2].copy())
-    factor, texel = factor // 2, 2 * texel
+    fine = torch.from_numpy(renderer.heights(np.array((0.0, 0.0, 1.0)), window).copy())
     pool = torch.nn.functional.max_pool2d
     solid = fine > -5 * renderer.extent
     highest = cv2.dilate(pool(fine[None], factor)[0].numpy(), AROUND)

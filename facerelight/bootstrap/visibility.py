@@ -18,6 +18,7 @@ IN_FRONT = 0.02  # z of the lights for which what hides a point stands in front 
 BELOW = -1e4  # a height below everything
 ON_AXIS = 1e-3  # lights closer to the camera axis than this hide nothing that the camera sees
 SOFTNESS = 2  # texels to each side that soften a shadow's edge
+SOFT_CELLS = 0.75  # cells by which a shadow's soft edge reaches above what casts it: SOFTNESS and one texel
 STEEPEST = 1.3  # relief that rises more than this towards the light may be hidden in part by its own edge
 
 
@@ -64,7 +65,7 @@ def possible_shadows(surface: Surface, light: Tensor, lit: Tensor) -> Tensor:
     far = torch.from_numpy(np.ascontiguousarray(highest)).flatten()[
         line + (toward + NEAR_CELLS).round().long().clamp_max(size[0] - 1)
     ]
-    above = far > place[:, 2] - relief.step * slope * (toward + 1)
+    above = far > place[:, 2] - relief.step * (slope * (toward + 1) + SOFT_CELLS / sideways)
     return lit & (above | torch.from_numpy(near).bool().flatten()[line + toward.round().long()])
 
 
