@@ -16,7 +16,9 @@ from pathlib import Path
 
 import torch
 
-__all__ = ["ScriptParser", "joined_rows", "machine", "markdown", "read_rows"]
+from facerelight.bootstrap.domain import Domain
+
+__all__ = ["ScriptParser", "found_domain", "joined_rows", "machine", "markdown", "read_rows"]
 
 FACES = "yaleb_192x168.npz or a CroppedYale folder"
 
@@ -46,6 +48,11 @@ class ScriptParser(ArgumentParser):
         """``--height`` and ``--width`` of the images in pixels."""
         self.add_argument("--height", type=int, default=height)
         self.add_argument("--width", type=int, default=width)
+
+    def add_domain(self) -> None:
+        """``--domain``, the rendered world's settings; see :func:`found_domain`."""
+        what = 'what search_domain.py --json wrote, of which "all" is taken; default: the package\'s domain'
+        self.add_argument("--domain", type=Path, default=None, help=what)
 
     def add_results(self, *kinds: str) -> None:
         """``--csv``, ``--json`` or both."""
@@ -166,3 +173,8 @@ def _commit(folder: Path) -> str:
 def _shown(word: str) -> str:
     """An argument as it is told: of an absolute path, which means nothing elsewhere, the last part."""
     return shlex.quote(Path(word).name if Path(word).is_absolute() else word)
+
+
+def found_domain(path: Path | None) -> Domain:
+    """The rendered world that ``scripts/data/search_domain.py`` found for everybody, or the package's own."""
+    return Domain(**json.loads(path.read_text())["all"]) if path else Domain()

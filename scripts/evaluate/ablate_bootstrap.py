@@ -8,7 +8,6 @@ individual PCA of 9 dimensions), and what rendering an image costs, processor ti
 python scripts/evaluate/ablate_bootstrap.py --data yaleb_192x168.npz --domain domain.json --csv
 """
 
-import json
 import multiprocessing
 import time
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
 from facerelight.evaluation.recognition import evaluate_galleries, training_lights
-from facerelight.evaluation.results import ScriptParser
+from facerelight.evaluation.results import ScriptParser, found_domain
 from facerelight.geometry.lights import angle_pairs
 from facerelight.inference.relighter import StatisticalRelighter
 from facerelight.model.statistics import FaceStatistics
@@ -170,9 +169,7 @@ def measure(images: torch.Tensor, faces: FaceImages, rank: int, detail: float) -
 def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
-    parser.add_argument(
-        "--domain", type=Path, default=None, help='what search_domain.py --json wrote, of which "all" is taken'
-    )
+    parser.add_domain()
     parser.add_argument("--heads", type=int, default=80)
     parser.add_size(48, 42)
     parser.add_argument("--markdown", type=Path, default=None, help="the table as Markdown")
@@ -181,7 +178,7 @@ def main() -> None:
     torch.set_grad_enabled(False)
     faces = load_yale(args.data, args.height, args.width)
     angles = angle_pairs(faces.lights)
-    found = Domain(**json.loads(args.domain.read_text())["all"]) if args.domain else Domain()
+    found = found_domain(args.domain)
     config = TrainConfig(args.heads, lights=angles, height=args.height, width=args.width, margin=0.0)
     rows: list[dict[str, object]] = []
 

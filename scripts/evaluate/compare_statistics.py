@@ -2,7 +2,7 @@
 
 The picture holds statistics of the photographs, so it belongs outside the repository.
 
-python scripts/evaluate/compare_statistics.py --data yaleb_192x168.npz --output comparison.png
+python scripts/evaluate/compare_statistics.py --data yaleb_192x168.npz --domain domain.json --output comparison.png
 """
 
 from pathlib import Path
@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser, found_domain, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics, PixelStatistics
 from facerelight.train.run import rendered_statistics
@@ -45,6 +45,7 @@ def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
     parser.add_argument("--heads", type=int, default=80)
+    parser.add_domain()
     parser.add_argument("--source", default="ict")
     parser.add_size(96, 84)
     parser.add_argument("--output", type=Path, default=None, help="a picture of the maps")
@@ -54,7 +55,10 @@ def main() -> None:
     faces = load_yale(args.data, args.height, args.width)
     photos, valid = to_grid(faces)
     angles = angle_pairs(faces.lights)
-    rendered = rendered_statistics(TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0))
+    domain = found_domain(args.domain)
+    rendered = rendered_statistics(
+        TrainConfig(args.heads, args.source, angles, args.height, args.width, margin=0.0, domain=domain)
+    )
     real = FaceStatistics.fit(photos, faces.lights, valid, rendered.options, face_rank=20)
     assert rendered.store is not None
     frontal = int(faces.lights[:, 2].argmax())

@@ -1,6 +1,6 @@
 """How easily rendered crops are told from photographs: the accuracy of a small network, 50 % being perfect.
 
-python scripts/evaluate/realism.py --data yaleb_192x168.npz --csv
+python scripts/evaluate/realism.py --data yaleb_192x168.npz --domain domain.json --csv
 
 Extended Yale B and as many rendered heads under its lights, grey, of one size, each crop with the same mean and spread
 and with the same noise; so neither brightness nor the sensor gives them away. Four folds: people and heads of the test
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from facerelight.config import TrainConfig
 from facerelight.evaluation.datasets import load_yale, to_grid
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser, found_domain, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.train.dataset import make_dataset
 
@@ -81,6 +81,7 @@ def accuracy(real: Tensor, valid: Tensor, heads: Tensor) -> tuple[float, float]:
 def main() -> None:
     parser = ScriptParser(__file__, __doc__)
     parser.add_faces()
+    parser.add_domain()
     parser.add_size(48, 42)
     parser.add_results("csv")
     args = parser.parse_args()
@@ -89,7 +90,7 @@ def main() -> None:
     config = TrainConfig(len(real), lights=angle_pairs(faces.lights), height=args.height, width=args.width, margin=0.0)
     rows: list[dict[str, object]] = []
     for source in SOURCES:
-        heads = make_dataset(replace(config, source=source)).images()
+        heads = make_dataset(replace(config, source=source, domain=found_domain(args.domain))).images()
         crops, people = accuracy(real, valid, heads)
         rows.append({"heads": source, "crops": round(crops, 1), "people": round(people, 1)})
     print(markdown(rows))

@@ -1,7 +1,7 @@
 """Are all skin tones relit equally well? Errors of held-out rendered heads by tone, and of photographs by frontal
 brightness.
 
-python scripts/evaluate/tones.py --data yaleb_192x168.npz
+python scripts/evaluate/tones.py --data yaleb_192x168.npz --domain domain.json
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import torch
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale, to_grid
-from facerelight.evaluation.results import ScriptParser, markdown
+from facerelight.evaluation.results import ScriptParser, found_domain, markdown
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
@@ -41,6 +41,7 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, required=True, help="yaleb_192x168.npz or a CroppedYale folder; its lights serve both"
     )
+    parser.add_domain()
     parser.add_argument("--heads", type=int, default=80)
     parser.add_argument("--people", type=int, default=40, help="held-out rendered heads")
     parser.add_size(48, 42)
@@ -50,7 +51,14 @@ def main() -> None:
     faces = load_yale(args.data, args.height, args.width)
     angles = angle_pairs(faces.lights)
     dataset = make_dataset(
-        TrainConfig(args.heads + args.people, lights=angles, height=args.height, width=args.width, margin=0.0)
+        TrainConfig(
+            args.heads + args.people,
+            lights=angles,
+            height=args.height,
+            width=args.width,
+            margin=0.0,
+            domain=found_domain(args.domain),
+        )
     )
     images = dataset.images()
     statistics = FaceStatistics.fit(images[: args.heads], faces.lights, None, face_rank=40, brightness=True)
