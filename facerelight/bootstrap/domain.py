@@ -19,7 +19,7 @@ class Domain:
         roughness: root mean square slope of that surface (Beckmann); skin has 0.2 to 0.4.
         fill: light from all around, as a fraction of the lamp.
         side_light: a lamp at the side is brighter by this fraction than one at the camera.
-        top_light: a lamp straight above is brighter by this fraction than one at the camera, and one below darker.
+        top_light: a lamp above is brighter by this fraction, times the sine of its elevation, and one below darker.
         pitch: degrees by which heads look up, on average.
         turn: standard deviation of how heads are turned, to the sides and up, in degrees.
         misalign: standard deviation of a marked landmark, in distances between the eyes.
@@ -27,7 +27,7 @@ class Domain:
 
     tone_low: float = 0.3
     tone_high: float = 0.8
-    texture: float = 0.03
+    texture: float = 0.05
     specular: float = 0.055
     roughness: float = 0.35
     fill: float = 0.0

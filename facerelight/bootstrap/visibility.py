@@ -97,7 +97,8 @@ def visibility(surface: Surface, light: Tensor, where: Tensor, renderer: MeshRen
         return _filtered(torch.from_numpy(height), row, column, least, texel)
     # most points have nothing above them in any of the texels
     highest = torch.from_numpy(cv2.dilate(height, np.ones((2 * SOFTNESS + 1, 2 * SOFTNESS + 1), np.uint8)))
-    doubt = (highest.flatten()[row.round().long() * height.shape[1] + column.round().long()] > least).nonzero()[:, 0]
+    i, j = (at.round().long().clamp(0, count - 1) for at, count in zip((row, column), height.shape, strict=True))
+    doubt = (highest[i, j] > least).nonzero()[:, 0]
     light_seen = torch.ones_like(row)
     light_seen[doubt] = _filtered(torch.from_numpy(height), row[doubt], column[doubt], least[doubt], texel)
     return light_seen

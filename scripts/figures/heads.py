@@ -18,6 +18,7 @@ from torch import Tensor
 from facerelight.bootstrap.dataset import BootstrapDataset
 from facerelight.bootstrap.look import Look, paint
 from facerelight.bootstrap.look.features import lips
+from facerelight.bootstrap.look.hair import strand_albedo
 from facerelight.bootstrap.shading import plan_effects, shade
 from facerelight.config import TrainConfig
 from facerelight.evaluation.results import ScriptParser
@@ -50,15 +51,14 @@ def colours(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     skin, mouth = (torch.tensor(skin_colour(look.tone, b), dtype=torch.float32) for b in (blood, blood + 0.6))
     skin, mouth = (each / (each @ torch.tensor(LUMINANCE)) for each in (skin, mouth))
     # half of what hair reflects has passed through its pigment
-    strand = 0.02 + 0.45 * (1 - look.hair) ** 2
-    hair = torch.tensor(0.5 + 0.5 * strand ** (MELANIN - 1), dtype=torch.float32)
+    hair = torch.tensor(0.5 + 0.5 * strand_albedo(look.hair) ** (MELANIN - 1), dtype=torch.float32)
     iris = torch.tensor(IRISES[rng.integers(len(IRISES))] if look.tone > 0.5 else IRISES[0])
     tinted = torch.lerp(skin.expand(len(reference), 3), mouth, lips(reference)[0][:, None].clamp(0, 1))
     # what a lighter tone would not lighten is no skin
     lighter = paint(reference, is_eye, replace(look, tone=1.1 * look.tone)) / paint(reference, is_eye, look)
     tinted = torch.lerp(hair / (hair @ torch.tensor(LUMINANCE)), tinted, ((lighter - 1) / 0.1).clamp(0, 1)[:, None])
     side, y = reference[:, 0].abs() - 0.5, reference[:, 1]
-    inside = torch.hypot(side, y - look.gaze.up) < look.gaze.iris
+    inside = torch.hypot(side - look.gaze.aside * reference[:, 0].sign(), y - look.gaze.up) < look.gaze.iris
     eye = torch.where(inside[:, None], iris / (iris @ torch.tensor(LUMINANCE)), torch.ones(3))
     return torch.where(is_eye[:, None] > 0.5, eye, tinted)
 

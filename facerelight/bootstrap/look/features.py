@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from facerelight.bootstrap.look.noise import bump, smooth_noise, step
+from facerelight.bootstrap.look.noise import bump, step
 
 __all__ = ["brow_arc", "brows", "lips", "rings", "stubble"]
 
@@ -20,16 +20,16 @@ MOUTH = 0.40  # half the width of the vermilion
 
 def brow_arc(side: Tensor, height: float) -> Tensor:
     """Height of a brow's middle line at ``side (P,)``, the distance from the midline: a bow that bends down outside."""
-    return height - 0.45 * (side - PEAK).square() - 1.2 * (side - 0.8).clamp_min(0)
+    return height - 0.45 * (side - PEAK).square() - 0.5 * (side - 0.8).clamp_min(0)
 
 
-def brows(reference: Tensor, height: float, width: float, seed: int) -> Tensor:
-    """Cover of the brows at points ``(P, 3)``, 0 to 1, thinner towards the temple and broken by hairs, ``(P,)``."""
+def brows(reference: Tensor, height: float, width: float) -> Tensor:
+    """Cover of the brows at points ``(P, 3)``, 0 to 1, narrower and thinner towards the temple, ``(P,)``."""
     x, y, _ = reference.unbind(-1)
     side = x.abs()
-    thickness = width * (1 - 0.55 * ((side - PEAK) / 0.4).clamp(0, 1))
-    inside = step(side, BROW[0], 0.06) * step(BROW[1] - side, 0, 0.1)
-    return bump(y - brow_arc(side, height), thickness) * inside * (1 + 0.15 * smooth_noise(reference, 60, seed))
+    narrow = width * (1 - 0.55 * ((side - PEAK) / 0.4).clamp(0, 1))
+    thin = 1 - 0.8 * ((side - 0.65) / 0.25).clamp(0, 1)
+    return bump(y - brow_arc(side, height), narrow) * step(side, BROW[0], 0.06) * step(BROW[1] - side, 0, 0.1) * thin
 
 
 def lips(reference: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,11 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-__all__ = ["BALD", "SHORN", "Hairstyle", "beard_cover", "fall", "hair_depth", "strands", "tint"]
+from facerelight.bootstrap.look.noise import step
+
+__all__ = ["BALD", "SHORN", "Hairstyle", "beard_cover", "fall", "hair_depth", "strand_albedo", "strands", "tint"]
 
 CENTRE = (0.0, 0.45, -0.95)  # hair is laid out around the vertical through this point, from the crown down
 GIRTH = 1.2  # the scalp's radius about it
-KINDS = {"bald": 0.08, "cropped": 0.14, "short": 0.25, "receding": 0.08, "fringe": 0.2, "long": 0.25}
+KINDS = {"bald": 0.08, "cropped": 0.16, "short": 0.36, "receding": 0.1, "fringe": 0.12, "long": 0.18}
 # azimuth in degrees, 0 in front: where the temple, sideburn, ear and nape are, and the hairline's height there
 SIDES = ((54, 0.72), (62, 0.42), (68, 0.05), (73, -0.3), (81, -0.3), (86, 0.14), (100, 0.3), (115, 0.12), (121, -0.5))
 NAPE = ((130, -1.0), (180, -1.2))
@@ -69,7 +71,7 @@ class Hairstyle:
             hem = float(rng.uniform(-1.1, -0.6) if rng.random() < 0.4 else rng.uniform(-3.2, -1.4))
             sides = ((54, 0.75), (curtain - 3, 0.35), (curtain, -0.3), (curtain - 1, hem - HANGS))
             volume, rise = rng.uniform(0.15, 0.28), 0.2
-        if kind == "fringe" or (kind == "long" and rng.random() < 0.35):
+        if kind == "fringe" or (kind == "long" and rng.random() < 0.25):
             front = ((0, fringe), (22, fringe - 0.02), (44, fringe - 0.06))
             sides = ((56, min(0.42, fringe - 0.1)), *sides[1 if kind == "long" else 2 :])
             volume, rise, ragged = rng.uniform(0.08, 0.16), 0.1, 0.07
@@ -96,8 +98,8 @@ class Hairstyle:
 
 
 BALD = Hairstyle()
-SHORN = Hairstyle(((0, 1.0), (40, 1.0), *SIDES, *NAPE), volume=0.01)
-"""Paint without volume to speak of."""
+SHORN = Hairstyle(((0, 1.0), (40, 1.0), *SIDES, *NAPE))
+"""Paint without volume."""
 
 
 def fall(reference: Tensor) -> tuple[Tensor, Tensor]:
@@ -144,7 +146,8 @@ def _distance(line: tuple[tuple[float, float], ...]) -> Tensor:
     part = (((place - ends[:-1]) * way).sum(-1) / (way**2).sum(-1)).clip(0, 1)
     distance = np.linalg.norm(place - ends[:-1] - part[..., None] * way, axis=-1).min(-1)
     behind = azimuth > corners[-1, 0]  # of a curtain
-    inside = (height > np.interp(azimuth, corners[:, 0], corners[:, 1])) | behind
+    rising = corners[: corners[:, 0].argmax() + 1]
+    inside = (height > np.interp(azimuth, rising[:, 0], rising[:, 1])) | behind
     return torch.from_numpy(np.where(inside, distance, -distance).astype(np.float32))
 
 
@@ -154,9 +157,16 @@ def beard_cover(reference: Tensor, style: Hairstyle) -> tuple[Tensor, Tensor]:
     side = x.abs() + 0.02 * strands(reference, 90, 40, style, 2)
     lips = torch.hypot(side / 0.5, (y + 1.1) / 0.21)
     cheek = -0.95 + 0.65 * ((side - 0.5) / 0.45).clamp(0, 1) - y
-    beard = _step(cheek, 0.1) * _step(y + 1.95 - 0.5 * side, 0.2) * _step(z + 0.82, 0.15) * _step(lips - 1.15, 0.2)
-    moustache = _step(0.11 - (y + 0.87 + 0.3 * side.square()).abs(), 0.05) * _step(0.52 - side, 0.1) * (z > 0)
-    return beard, moustache * _step(lips - 0.9, 0.15)
+    beard = (
+        step(cheek, 0, 0.1) * step(y + 1.95 - 0.5 * side, 0, 0.2) * step(z + 0.82, 0, 0.15) * step(lips - 1.15, 0, 0.2)
+    )
+    moustache = step(0.11 - (y + 0.87 + 0.3 * side.square()).abs(), 0, 0.05) * step(0.52 - side, 0, 0.1) * (z > 0)
+    return beard, moustache * step(lips - 0.9, 0, 0.15)
+
+
+def strand_albedo(darkness: float) -> float:
+    """Albedo of hair of a ``darkness`` from 0, blond, to 1, black."""
+    return 0.02 + 0.45 * (1 - darkness) ** 2
 
 
 def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, darkness: float) -> Tensor:
@@ -167,18 +177,14 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     if not style.line and not style.beard and not style.moustache:
         return albedo
     depth = hair_depth(reference, style) + 0.025 * strands(reference, 200, 16, style, 1)
-    cover = _step(depth, 0.05)
+    cover = step(depth, 0, 0.05)
     if style.hem is not None:  # hair hangs over the neck, it does not grow there
-        cover = cover * _step(reference[:, 1] + 0.9, 0.2)
-    cover = torch.maximum(cover, _step(hangs - 0.4, 0.3))
+        cover = cover * step(reference[:, 1] + 0.9, 0, 0.2)
+    cover = torch.maximum(cover, step(hangs - 0.4, 0, 0.3))
     beard, moustache = beard_cover(reference, style)
     cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
-    hair = (0.02 + 0.45 * (1 - darkness) ** 2) * torch.exp(streaks)
+    hair = strand_albedo(darkness) * torch.exp(streaks)
     roots = torch.maximum((depth > -0.1).float(), hangs)  # lie in the shade of the hair above
     hair = hair * (1 - (0.25 + 0.15 * hangs) * roots * (1 - depth / 0.2).clamp(0, 1))
     return torch.lerp(albedo, hair, cover)
-
-
-def _step(x: Tensor, softness: float) -> Tensor:
-    return torch.sigmoid(x / (softness / 3))

@@ -11,9 +11,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from facerelight.bootstrap.heads import Head
-from facerelight.bootstrap.look.features import BROW, brow_arc
+from facerelight.bootstrap.look.features import brows
 from facerelight.bootstrap.look.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
-from facerelight.bootstrap.look.noise import bump
 
 if TYPE_CHECKING:
     from facerelight.bootstrap.look.skin import Look
@@ -187,9 +186,8 @@ def _lift_skin(head: Head, look: Look) -> Head:
     if not (style.beard or style.moustache or style.brows):
         return head
     beard, moustache = beard_cover(reference, style)
-    side, y = reference[:, 0].abs(), reference[:, 1]
-    brow = bump(y - brow_arc(side, look.brow_height), look.brow_width) * ((side > BROW[0]) & (side < BROW[1]))
-    brow = brow * ((y - 0.12) / 0.06).clamp(0, 1)  # not the lid
+    y = reference[:, 1]
+    brow = brows(reference, look.brow_height, look.brow_width) * ((y - 0.12) / 0.06).clamp(0, 1)  # not the lid
     most = torch.maximum(torch.maximum(style.beard * beard, style.moustache * moustache), style.brows * brow)
     lift = most.numpy() * (head.reference[:, 2] > -1) * (head.is_eye < 0.5)
     lifted = head.triangles[(lift[head.triangles] > 1e-3).any(1)]
