@@ -25,7 +25,9 @@ from facerelight.geometry.alignment import CropFrame
 
 __all__ = ["BootstrapDataset", "RenderedHead", "open_renderer"]
 
-HEAD_REACH = 3.2  # half the side of the shadow map, in distances between the eyes: covers the whole head, turned or not
+HEAD_REACH = (
+    3.2  # half the side of the shadow map, in distances between the eyes: the head, turned or not, not its shoulders
+)
 
 
 class RenderedHead(NamedTuple):

@@ -49,9 +49,7 @@ def test_brows_bend_as_the_landmarks_do(marks: np.ndarray) -> None:
     apart = right[:, 1] - arc
     assert np.ptp(apart) < 0.12
     assert 0.02 < apart.mean() < 0.15
-    cover = brows(
-        torch.tensor([[0.45, 0.30, 0.2], [-0.45, 0.30, 0.2], [0.0, 0.30, 0.2], [0.45, 0.1, 0.1]]), 0.3, 0.06
-    )
+    cover = brows(torch.tensor([[0.45, 0.30, 0.2], [-0.45, 0.30, 0.2], [0.0, 0.30, 0.2], [0.45, 0.1, 0.1]]), 0.3, 0.06)
     assert cover[:2].min() > 0.5
     assert cover[2:].max() < 0.05
 
