@@ -18,7 +18,7 @@ import torch
 
 from facerelight.bootstrap.domain import Domain
 
-__all__ = ["ScriptParser", "found_domain", "joined_rows", "machine", "markdown", "read_rows"]
+__all__ = ["ScriptParser", "found_domain", "found_domains", "joined_rows", "machine", "markdown", "read_rows"]
 
 FACES = "yaleb_192x168.npz or a CroppedYale folder"
 
@@ -51,7 +51,7 @@ class ScriptParser(ArgumentParser):
 
     def add_domain(self) -> None:
         """``--domain``, the rendered world's settings; see :func:`found_domain`."""
-        what = 'what search_domain.py --json wrote, of which "all" is taken; default: the package\'s domain'
+        what = "what search_domain.py --json wrote; default: the package's domain"
         self.add_argument("--domain", type=Path, default=None, help=what)
 
     def add_results(self, *kinds: str) -> None:
@@ -178,3 +178,8 @@ def _shown(word: str) -> str:
 def found_domain(path: Path | None) -> Domain:
     """The rendered world that ``scripts/data/search_domain.py`` found for everybody, or the package's own."""
     return Domain(**json.loads(path.read_text())["all"]) if path else Domain()
+
+
+def found_domains(path: Path) -> list[Domain]:
+    """The rendered worlds that ``scripts/data/search_domain.py`` found for each of n folds, on the other people."""
+    return [Domain(**values) for values in json.loads(path.read_text())["folds"]]

@@ -15,7 +15,7 @@ from facerelight.bootstrap.domain import Domain
 from facerelight.config import TrainConfig
 from facerelight.evaluation import evaluate_folds
 from facerelight.evaluation.datasets import load_yale
-from facerelight.evaluation.results import ScriptParser
+from facerelight.evaluation.results import ScriptParser, found_domains
 from facerelight.geometry.lights import angle_pairs
 from facerelight.model.learning import FitOptions
 from facerelight.model.registration import align_people
@@ -34,7 +34,7 @@ def read_domains(path: Path | None, folds: int) -> list[Domain]:
     of them, or more); without a file the package's own."""
     if path is None:
         return [Domain()] * folds
-    found = [Domain(**values) for values in json.loads(path.read_text())["folds"]]
+    found = found_domains(path)
     if folds % len(found):
         raise SystemExit(f"{path}: expected domains of {folds} folds or a divisor of it, got {len(found)}")
     return found * (folds // len(found))
@@ -68,9 +68,7 @@ def main() -> int:
         default=0.5,
         help="how much of the input's fine detail relit images keep; 0: the bare model",
     )
-    parser.add_argument(
-        "--domain", type=Path, default=None, help="what search_domain.py --json wrote; default: the package's domain"
-    )
+    parser.add_domain()
     parser.add_argument(
         "--adapt-people", type=int, default=21, help="of each fold's training people, with --statistics adapted"
     )
