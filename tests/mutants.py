@@ -51,16 +51,16 @@ MUTANTS = (
     ),
     Mutant(
         "lamps at the side",
-        "bootstrap/effects.py",
-        "1 + self.material.side_light",
-        "1 - self.material.side_light",
+        "bootstrap/domain.py",
+        "1 + side_light",
+        "1 - side_light",
         "bootstrap/test_lamp.py",
     ),
     Mutant(
         "lamps above",
-        "bootstrap/effects.py",
-        "1 + self.material.top_light",
-        "1 - self.material.top_light",
+        "bootstrap/domain.py",
+        "1 + top_light",
+        "1 - top_light",
         "bootstrap/test_lamp.py",
     ),
     Mutant(

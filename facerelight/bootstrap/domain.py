@@ -4,8 +4,13 @@ makes of light."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
-__all__ = ["Domain", "Material"]
+from torch import Tensor
+
+__all__ = ["Domain", "Material", "lamp_strength"]
+
+Value = TypeVar("Value", float, Tensor)
 
 
 @dataclass(frozen=True)
@@ -64,3 +69,9 @@ class Material:
     fill: float
     side_light: float = 0.0
     top_light: float = 0.0
+
+
+def lamp_strength(y: Value, z: Value, side_light: float, top_light: float = 0.0) -> Value:
+    """How bright lamps are whose directions have components ``y`` (up) and ``z`` (to the camera): see
+    :class:`Domain`."""
+    return (1 + side_light * (1 - z)) * (1 + top_light * y)

@@ -13,7 +13,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from facerelight.bootstrap.domain import Material
+from facerelight.bootstrap.domain import Material, lamp_strength
 from facerelight.bootstrap.renderer import MeshRenderer
 from facerelight.bootstrap.surface import Surface
 from facerelight.bootstrap.visibility import possible_shadows, visibility
@@ -44,7 +44,7 @@ class Scene:
     def lamp(self) -> float:
         """How bright the lamp is: one at the side or above may be brighter than one at the camera."""
         _, y, z = self.light.tolist()
-        return (1 + self.material.side_light * (1 - z)) * (1 + self.material.top_light * y)
+        return lamp_strength(y, z, self.material.side_light, self.material.top_light)
 
 
 @dataclass

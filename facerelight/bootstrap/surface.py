@@ -66,12 +66,14 @@ def view_surface(renderer: MeshRenderer, head: Head, look: Look) -> Surface:
     pixel = inside.flatten().nonzero()[:, 0]
     position, normal, values = (torch.from_numpy(np.ascontiguousarray(a)).flatten(0, 1)[pixel] for a in seen[:3])
     albedo = paint(values[:, :3], values[:, 3], look)
-    eye = torch.from_numpy(seen.attribute[..., 3] > 0.5) & inside
-    if eye.any():
+    wet = values[:, 3] > 0.5
+    if wet.any():
+        eye = torch.zeros_like(inside)
+        eye.view(-1)[pixel] = wet
         eye_distance = renderer.supersample * float(np.linalg.norm(head.landmarks[1] - head.landmarks[0]))
         albedo *= lid_shade(eye, eye_distance).flatten()[pixel]
     size, relief = (inside.shape[0], inside.shape[1]), _map_relief(renderer, head, position)
-    return Surface(position, normal, albedo, values[:, 3] > 0.5, pixel, size, relief)
+    return Surface(position, normal, albedo, wet, pixel, size, relief)
 
 
 def _map_relief(renderer: MeshRenderer, head: Head, position: Tensor) -> Relief:

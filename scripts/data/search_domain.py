@@ -17,7 +17,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from facerelight.bootstrap.domain import Domain
+from facerelight.bootstrap.domain import Domain, lamp_strength
 from facerelight.config import TrainConfig
 from facerelight.evaluation import relighting_errors
 from facerelight.evaluation.datasets import FaceImages, load_yale
@@ -27,7 +27,7 @@ from facerelight.model.statistics import FaceStatistics
 from facerelight.train.dataset import make_dataset
 
 DETAIL = 0.5
-START = Domain(side_light=0.0, top_light=0.0, pitch=0.0)
+START = Domain()
 KNOBS: dict[str, tuple[float, ...]] = {
     "side_light": (0.0, 0.2, 0.3, 0.4),
     "top_light": (0.0, 0.1, 0.15, 0.2),
@@ -77,7 +77,7 @@ class Search:
         """What ``domain`` looks like, ``(N, J, H, W)``."""
         lit, fill = self.parts(replace(domain, side_light=0.0, top_light=0.0, fill=0.0))
         y, z = self.faces.lights[:, 1], self.faces.lights[:, 2]
-        lamps = (1 + domain.side_light * (1 - z)) * (1 + domain.top_light * y)
+        lamps = lamp_strength(y, z, domain.side_light, domain.top_light)
         return lamps[:, None, None] * lit + domain.fill / UNIT_FILL * fill
 
     def _error(self, domain: Domain) -> Tensor:

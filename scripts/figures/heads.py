@@ -36,30 +36,34 @@ IRISES = ((1.25, 0.95, 0.6), (1.2, 0.97, 0.65), (0.85, 1.0, 1.3), (0.95, 1.02, 1
 EXPOSURE = 1.3
 
 
-def skin_colour(tone: float, blood: float) -> np.ndarray:
+def even(colour: Tensor) -> Tensor:
+    """A colour ``(3,)`` brought to unit luminance."""
+    return colour / (colour @ torch.tensor(LUMINANCE))
+
+
+def skin_colour(tone: float, blood: float) -> Tensor:
     """Colour of unit luminance of skin whose luminance is ``tone``, ``(3,)``."""
     amounts = np.linspace(0, 6, 2000)[:, None]
     colours = np.exp(-amounts * MELANIN - blood * BLOOD)
     luminance = colours @ np.asarray(LUMINANCE)
-    return colours[np.abs(luminance - min(tone, 0.95) * PIGMENT_FREE).argmin()] / tone / PIGMENT_FREE
+    return even(torch.from_numpy(colours[np.abs(luminance - min(tone, 0.95) * PIGMENT_FREE).argmin()]).float())
 
 
 def colours(reference: Tensor, is_eye: Tensor, look: Look) -> Tensor:
     """Colour of unit luminance of a person at points ``(P, 3)`` of the average head, ``(P, 3)``."""
     rng = np.random.default_rng(look.seed)
     blood = rng.uniform(0.15, 0.4)
-    skin, mouth = (torch.tensor(skin_colour(look.tone, b), dtype=torch.float32) for b in (blood, blood + 0.6))
-    skin, mouth = (each / (each @ torch.tensor(LUMINANCE)) for each in (skin, mouth))
+    skin, mouth = skin_colour(look.tone, blood), skin_colour(look.tone, blood + 0.6)
     # half of what hair reflects has passed through its pigment
     hair = torch.tensor(0.5 + 0.5 * strand_albedo(look.hair) ** (MELANIN - 1), dtype=torch.float32)
     iris = torch.tensor(IRISES[rng.integers(len(IRISES))] if look.tone > 0.5 else IRISES[0])
     tinted = torch.lerp(skin.expand(len(reference), 3), mouth, lips(reference)[0][:, None].clamp(0, 1))
     # what a lighter tone would not lighten is no skin
     lighter = paint(reference, is_eye, replace(look, tone=1.1 * look.tone)) / paint(reference, is_eye, look)
-    tinted = torch.lerp(hair / (hair @ torch.tensor(LUMINANCE)), tinted, ((lighter - 1) / 0.1).clamp(0, 1)[:, None])
+    tinted = torch.lerp(even(hair), tinted, ((lighter - 1) / 0.1).clamp(0, 1)[:, None])
     side, y = reference[:, 0].abs() - 0.5, reference[:, 1]
     inside = torch.hypot(side - look.gaze.aside * reference[:, 0].sign(), y - look.gaze.up) < look.gaze.iris
-    eye = torch.where(inside[:, None], iris / (iris @ torch.tensor(LUMINANCE)), torch.ones(3))
+    eye = torch.where(inside[:, None], even(iris), torch.ones(3))
     return torch.where(is_eye[:, None] > 0.5, eye, tinted)
 
 

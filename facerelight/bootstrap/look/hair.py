@@ -34,9 +34,9 @@ class Hairstyle:
 
     ``line``: the hairline, (azimuth in degrees from the front, height) from front to back; ``volume`` at most, 0
     without hair; ``rise``, how far behind the line that is reached; ``ragged``, how far the line wanders; ``locks``,
-    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``overhang``, how
-    far it slides down over its line, in its thickness; ``hem``, the height down to
-    which it hangs, if it does; ``beard``, ``moustache``, ``brows``: their volumes.
+    how much of the volume is in locks; ``swirl`` in radians, how far it is combed round; ``overhang``, how far it
+    slides down over its line, in its thickness; ``hem``, the height down to which it hangs, if it does; ``beard``,
+    ``moustache``, ``brows``: their volumes.
     """
 
     line: tuple[tuple[float, float], ...] = ()
@@ -78,22 +78,22 @@ class Hairstyle:
             overhang = 0.7
         elif kind in ("short", "receding"):
             ragged = 0.045
-        hairy = rng.random() < (0.02 if kind == "long" else 0.14)
+        bald, hairy = kind == "bald", rng.random() < (0.02 if kind == "long" else 0.14)
         beard = float(rng.uniform(0.03, 0.1)) if hairy else 0.0
         moustache = float(rng.uniform(0.02, 0.05)) if hairy or rng.random() < 0.04 else 0.0
         return cls(
-            () if kind == "bald" else tuple((float(a), float(b)) for a, b in (*front, *sides, *(() if hem else NAPE))),
-            0.0 if kind == "bald" else float(volume),
-            float(rise),
-            ragged,
-            float(rng.uniform(0.25, 0.5)),
-            float(rng.normal(0, 0.35)),
-            overhang,
-            hem,
-            beard,
-            moustache,
-            float(rng.uniform(0.01, 0.03)),
-            int(rng.integers(2**31)),
+            line=() if bald else tuple((float(a), float(b)) for a, b in (*front, *sides, *(() if hem else NAPE))),
+            volume=0.0 if bald else float(volume),
+            rise=float(rise),
+            ragged=ragged,
+            locks=float(rng.uniform(0.25, 0.5)),
+            swirl=float(rng.normal(0, 0.35)),
+            overhang=overhang,
+            hem=hem,
+            beard=beard,
+            moustache=moustache,
+            brows=float(rng.uniform(0.01, 0.03)),
+            seed=int(rng.integers(2**31)),
         )
 
 
@@ -181,8 +181,9 @@ def tint(albedo: Tensor, reference: Tensor, hangs: Tensor, style: Hairstyle, dar
     if style.hem is not None:  # hair hangs over the neck, it does not grow there
         cover = cover * step(reference[:, 1] + 0.9, 0, 0.2)
     cover = torch.maximum(cover, step(hangs - 0.4, 0, 0.3))
-    beard, moustache = beard_cover(reference, style)
-    cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
+    if style.beard or style.moustache:
+        beard, moustache = beard_cover(reference, style)
+        cover = torch.maximum(cover, torch.maximum(beard * (style.beard > 0), moustache * (style.moustache > 0)))
     streaks = 0.17 * strands(reference, 90, 9, style, 3) + 0.2 * strands(reference, 280, 24, style, 4)
     hair = strand_albedo(darkness) * torch.exp(streaks)
     roots = torch.maximum((depth > -0.1).float(), hangs)  # lie in the shade of the hair above

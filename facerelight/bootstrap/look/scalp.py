@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,9 +13,7 @@ from torch import Tensor
 from facerelight.bootstrap.heads import Head
 from facerelight.bootstrap.look.features import brows
 from facerelight.bootstrap.look.hair import CENTRE, GIRTH, Hairstyle, beard_cover, fall, hair_depth, strands
-
-if TYPE_CHECKING:
-    from facerelight.bootstrap.look.skin import Look
+from facerelight.bootstrap.look.skin import Look
 
 __all__ = ["Scalp", "grow_hair"]
 
@@ -118,13 +116,10 @@ def grow_hair(head: Head, scalp: Scalp, look: Look) -> Head:
     base = (scalp.weights[..., None] * head.vertices[scalp.corners]).sum(-2) - scalp.anchor
     radius = (base * scalp.outward).sum(-1)
     reference = scalp.axis[:, None] + scalp.radius[..., None] * scalp.outward
+    points = _points(reference)
     depth, locks, ends = (
         values.numpy().reshape(radius.shape)
-        for values in (
-            hair_depth(_points(reference), style),
-            strands(_points(reference), 36, 5, style, 5),
-            strands(_points(reference), 12, 5, style, 6),
-        )
+        for values in (hair_depth(points, style), strands(points, 36, 5, style, 5), strands(points, 12, 5, style, 6))
     )
     full = ((depth - ROOTS) / style.rise).clip(0, 1)
     thickness = style.volume * full * (2 - full) * (1 + style.locks * locks).clip(0.2)

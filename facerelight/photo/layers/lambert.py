@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from facerelight.bootstrap.domain import lamp_strength
+
 __all__ = ["LambertSphere"]
 
 STEPS = 181
@@ -43,7 +45,7 @@ class LambertSphere:
             (turn.cos().expand(STEPS, -1), turn.sin().expand(STEPS, -1), 0 * turn.expand(STEPS, -1)), -1
         )
         normal = sin[..., None] * outward + cos[..., None] * torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
-        lamp = 1 + side_light * (1 - lights[:, 2])
+        lamp = lamp_strength(lights[:, 1], lights[:, 2], side_light)
         fitted = ((normal @ lights.T).clamp_min(0) * lamp) @ torch.linalg.pinv(lights).T  # (STEPS, 16, 3)
         aside, ahead = (fitted * outward).sum(-1).mean(1), fitted[..., 2].mean(1)
         self._fitted = torch.atan2(aside, ahead).cummax(0).values  # leans to the camera, and never turns back
